@@ -1,0 +1,264 @@
+"""Logs as people have them: what is odd costs itself, or is set right, and a note says so."""
+
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_bag import MOUNT, T0_NS, off_walls_m, robot_bag, way
+
+import sixthsense as ss
+from sixthsense.config import LaserConfig
+from sixthsense.core.geometry import Pose
+from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.bag_file import opened
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, stamp_ns
+from sixthsense.sources.logs.text_lines import LogError
+
+TF = (("tf", "base_footprint", "base_link", Pose()), ("tf", "base_link", "laser", MOUNT))
+BACKWARDS = (("static", "laser", "base_footprint", MOUNT.inverse()),)
+NAN = np.full(240, np.nan)
+
+
+def at(k, key, value, when=lambda k: True):
+    """A change of what message `k` says."""
+    return lambda n, says: {**says, key: value(n) if callable(value) else value} if when(n) and k(n) else says
+
+
+def first(n):
+    return n < 3
+
+
+def every(n):
+    return True
+
+
+def at_40(n):
+    return n == 40
+
+
+def round_laser(n, count):
+    return {"first": -math.pi, "step": 2.0 * math.pi / count(n), "count": count(n), "high": 9.0}
+
+
+def lidar(count):
+    return lambda n, says: {**says, **round_laser(n, count)}
+
+
+def interlaced(n, says):
+    off = (0, 1, 3, 2)[n % 4]
+    first = math.radians(0.25 * off - 90.0)
+    return {**says, "first": first, "step": math.radians(1.0), "count": 181 - (off > 0)}
+
+
+# name: keywords of the bag, number of scans, what a note says ("" for no note)
+READ = {
+    "base": ({}, 60, ""),
+    "1073 then 719 beams": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, 60, ""),
+    "beams vary": ({"scan": lidar(lambda n: 717 + 3 * (n % 4))}, 60, ""),
+    "interlaced": ({"scan": interlaced}, 60, ""),
+    "clockwise": ({"scan": lambda n, says: {**says, "first": 2.0, "step": -says["step"]}}, 60, ""),
+    "short range first": ({"scan": at(first, "high", 1.5)}, 60, ""),
+    "another frame first": (
+        {"scan": at(first, "frame", "base_scan")}, 57, "3 scans of base_scan are left out: most, 57, are of laser"),
+    "a second laser": (
+        {"scan": at(lambda n: n % 3 == 0, "frame", "rear")}, 40, "20 scans of rear are left out: most, 40,"),
+    "mount in /tf": ({"links": TF}, 60, ""),
+    "mount as parent": ({"links": BACKWARDS}, 60, ""),
+    "odometry and mount in /tf": ({"links": TF, "odom_in_tf": True}, 60, "odometry: /tf odom -> base_footprint, 300"),
+    "odometry inverted in /tf": ({"odom_in_tf": True, "inverted": True}, 60, "odometry: /tf odom -> base_footprint"),
+    "no child frame": ({"odom": at(every, "child", "")}, 60, "the robot's frame: taken to be base_footprint"),
+    "zero quaternion": (
+        {"odom": at(first, "turn", (0.0, 0.0, 0.0, 0.0))}, 60, "3 of 300 messages of /odom left out: found a pose"),
+    "one range": ({"scan": at(at_40, "count", 1)}, 59, "1 of 60 messages of /scan left out: found a scan of 1 ranges"),
+    "no range": ({"scan": at(at_40, "count", 0)}, 59, "1 of 60 messages of /scan left out: found a scan of 0 ranges"),
+    "no angles": ({"scan": at(at_40, "angle_unit", math.inf)}, 59, "found angle_min -inf"),
+    "all NaN": ({"scan": at(at_40, "ranges", NAN)}, 60, ""),
+    "range_max 0": ({"scan": at(every, "high", 0.0)}, 60, "assumed: a laser of"),
+    "range_max NaN once": ({"scan": at(at_40, "high", math.nan)}, 60, "in 1 of 60 scans"),
+    "scans 37 s ahead": ({"late_s": 37.0}, 60, "scans lead odometry by 37.0"),
+    "scans 7.3 s behind": ({"late_s": -7.3}, 60, "scans lag behind odometry by 7.30 s"),
+    "scans 0.3 s ahead": ({"late_s": 0.3}, 60, "scans lead odometry by 0.30 s"),
+    "no stamps": ({"scan": at(every, "stamp_ns", 0)}, 60, "60 of 60 messages of /scan have no stamp"),
+    "one stamp": ({"scan": at(every, "stamp_ns", T0_NS)}, 60, "stamps of /scan repeat: the times of recording"),
+    "echoes": ({"echo": True}, 60, ""),
+    "namespace": ({"namespace": "/robot1"}, 60, ""),
+    "sqlite": ({"kind": "sqlite"}, 60, ""),
+    "ros1": ({"kind": "ros1"}, 60, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", READ)
+def test_an_odd_bag_has_its_returns_on_the_walls_and_says_what_is_odd(name, tmp_path):
+    how, count, said = READ[name]
+    log = open_log(robot_bag(tmp_path / "bag", **how))
+    assert len(log.scans) == count and log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=1e-6)
+    assert off_walls_m(log.ticks) < (0.01 if "ahead" in name or "behind" in name else 1e-4)
+    assert log.ticks[-1].odometry.array() == pytest.approx(way(5.98).array(), abs=1e-5)
+    notes = [note for note in log.remarks() if "a laser of" not in note or "assumed" in said or "scans" in said]
+    assert any(said in note for note in notes) if said else not notes
+
+
+# name: keywords of the bag, what is said
+REFUSED = {
+    "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or --units angles="),
+    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "allowed: metres, or --units ranges=mm"),
+    "centimetres": ({"scan": at(every, "unit", 100.0)}, "millimetres or centimetres"),
+    "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or --units odometry=mm"),
+    "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by --topic /rear or /scan"),
+    "no scan of any use": ({"scan": at(every, "count", 1)}, "found a scan of 1 ranges, allowed: 2 to"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_bag_that_cannot_be_right_is_refused_in_one_line_that_names_the_option(name, tmp_path):
+    how, said = REFUSED[name]
+    with pytest.raises(LogError) as caught:
+        open_log(robot_bag(tmp_path / "bag", **how))
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["degrees", "millimetres", "odometry in mm"])
+def test_a_bag_in_other_units_is_read_with_the_option(name, tmp_path):
+    units = {"degrees": "angles=degrees", "millimetres": "ranges=mm", "odometry in mm": "odometry=mm"}[name]
+    log = open_log(robot_bag(tmp_path / "bag", **REFUSED[name][0]), units=[units])
+    assert off_walls_m(log.ticks) < 1e-4
+    assert log.ticks[-1].odometry.array() == pytest.approx(way(5.98).array(), abs=1e-5)
+
+
+def test_two_clocks_that_share_no_time_and_no_turn_are_refused_with_both_intervals(tmp_path):
+    still = robot_bag(tmp_path / "bag", late_s=80.0, seconds=3.0, odom=at(every, "pose", Pose(0.2, 0.1, 0.4)))
+    with pytest.raises(
+        LogError, match=r"found scans from 1700000080\.\d+ to .* s, odometry from 1700000000.*one clock"
+    ):
+        open_log(still)
+
+
+def test_where_no_frames_lead_to_the_laser_the_note_names_those_that_there_are(tmp_path):
+    links = (("static", "robot1/base_link", "robot1/laser", MOUNT),)
+    log = open_log(robot_bag(tmp_path / "bag", links=links))
+    assert any("(frames: robot1/base_link, robot1/laser; otherwise set laser.mount)" in n for n in log.remarks())
+    mounted = open_log(tmp_path / "bag", LaserConfig(mount=tuple(MOUNT.array())))
+    assert off_walls_m(mounted.ticks) < 1e-4
+
+
+def only(has):
+    """The messages of odometry whose number is such."""
+    return {"odom": lambda n, says: says if has(n) else None}
+
+
+# name: keywords of the bag, and when scans go on alone
+REPLAYED = {
+    "odometry late": (only(lambda n: n >= 100), "0.0 to 1.9 s (20 scans, at the beginning)"),
+    "odometry dies": (only(lambda n: n <= 190), "3.9 to 5.9 s (21 scans, at the end)"),
+    "odometry pauses": (only(lambda n: n < 100 or n > 170), "2.0 to 3.4 s (15 scans, in a pause)"),
+    "beams change": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, ""),
+}
+
+
+@pytest.mark.parametrize("name", REPLAYED)
+def test_a_replay_has_the_true_poses_at_the_stamps_of_the_log_and_its_folder_gives_them_again(name, tmp_path):
+    how, said = REPLAYED[name]
+    bag = robot_bag(tmp_path / "bag", **how)
+    run = ss.replay(bag, progress=False, out=tmp_path / "out")
+    notes = [note for note in open_log(bag).remarks() if "go on alone" in note]
+    assert said in notes[0] if said else not notes
+    truth = np.array([way(0.1 * k).array() for k in range(60)])
+    table = np.loadtxt(tmp_path / "out" / "estimate.tum")
+    assert len(run.trace.estimates) == 60 and table[:, 0] == pytest.approx(1e-9 * T0_NS + 0.1 * np.arange(60))
+    started = Pose.from_array(run.trace.estimates[0])
+    found = np.array([(started.inverse() @ Pose.from_array(pose)).array() for pose in run.trace.estimates])
+    true = np.array([(way(0.0).inverse() @ Pose.from_array(pose)).array() for pose in truth])
+    assert np.abs(found - true)[:, :2].max() < 0.02 and np.abs(found - true)[:, 2].max() < 0.01
+    again = ss.replay(tmp_path / "out", progress=False)
+    assert np.array_equal(again.trace.estimates, run.trace.estimates)
+
+
+def test_every_return_that_is_used_lies_where_its_own_message_has_it(data_dir):
+    """In the clinic's bag a laser in interlaced mode sends four geometries in turn."""
+    path, messages = data_dir / "clinic" / "clinic.bag", {}
+    with opened(path) as reader:
+        for connection, _, raw in reader.messages([c for c in reader.connections if c.msgtype == LASER_SCAN]):
+            message = reader.deserialize(raw, connection.msgtype)
+            messages[stamp_ns(message) / 1e9] = message
+    ticks, store = [tick for tick in open_log(path).ticks if tick.scan is not None], ScanStore(30.0)
+    assert len(ticks) == 6917
+    for tick in ticks:
+        message = messages[tick.log_stamp_s]
+        own = float(message.angle_min) + float(message.angle_increment) * np.arange(len(message.ranges))
+        used = (message.ranges >= message.range_min) & (message.ranges <= message.range_max) & (message.ranges < 30.0)
+        at = store.put(tick.scan)
+        row = store.returns.points[at]
+        found = row[row[:, 2] > 0.0]
+        assert len(found) == np.count_nonzero(used)
+        assert np.abs(np.arctan2(found[:, 1], found[:, 0]) - own[used]).max(initial=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite"])
+def test_bags_are_known_by_content_in_pieces_without_metadata_and_cut(kind, tmp_path):
+    bag = robot_bag(tmp_path / "bag", kind)
+    file = next(each for each in bag.iterdir() if each.suffix != ".yaml")
+    named = tmp_path / "robot.log"
+    shutil.copy(file, named)
+    (tmp_path / "bare").mkdir()
+    shutil.copy(file, tmp_path / "bare" / f"x_0{file.suffix}")
+    whole = open_log(bag)
+    for path in (named, tmp_path / "bare"):
+        log = open_log(path)
+        assert [tick.stamp_ns for tick in log.ticks] == [tick.stamp_ns for tick in whole.ticks]
+    assert any("metadata.yaml is not there" in note for note in log.remarks())
+    if kind == "mcap":
+        file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+        cut = open_log(bag)
+        assert 20 < len(cut.scans) < 60 and "is cut short: the" in cut.remarks()[0]
+        assert off_walls_m(cut.ticks) < 1e-4
+
+
+# CARMEN
+
+
+def carmen(path: Path, line) -> Path:
+    path.write_text("".join(line(k) for k in range(24)))
+    return path
+
+
+def flaser(k: int, stamp: str) -> str:
+    ranges = " ".join(f"{2.0 + 0.01 * i + 0.02 * k:.3f}" for i in range(180))
+    return f"FLASER 180 {ranges} {1.2 * k:.4f} 1.5 0.2 {1.2 * k:.4f} 1.5 0.2 {stamp} robot {stamp}\n"
+
+
+@pytest.mark.parametrize(
+    ("stamp", "said"),
+    [
+        (lambda t: f"{1134860123 + t:.3f}", ""),
+        (lambda t: f"{1134860123 + t:g}", "all 24 scans have the stamp 1134860000.000000"),
+        (lambda t: f"{1134863123 + 100 * t:g}", "22 of 24 scans have the stamp of the one before"),
+        (lambda t: "0", "all 24 scans have the stamp 0.000000"),
+        (lambda t: f"{t - 5:.3f}", "stamps begin at -5.000 s"),
+    ],
+)
+def test_stamps_that_tell_no_time_leave_odometry_as_it_is(stamp, said, tmp_path):
+    log = open_log(carmen(tmp_path / "a.log", lambda k: flaser(k, stamp(2.0 * k))))
+    assert [tick.odometry.x for tick in log.ticks] == pytest.approx(1.2 * np.arange(24))
+    assert (np.diff([tick.stamp_ns for tick in log.ticks]) > 0).all() and log.ticks[0].stamp_ns >= 0
+    notes = [note for note in log.remarks() if "assumed" not in note]
+    assert any(said in note for note in notes) if said else not notes
+
+
+def test_each_robotlaser_line_has_its_own_beams(tmp_path):
+    def line(k):
+        off = (0, 1, 3, 2)[k % 4]
+        count, start = 181 - (off > 0), math.radians(-90 + 0.25 * off)
+        ranges = " ".join(f"{2.0 + 0.01 * i:.2f}" for i in range(count))
+        pose = f"{0.1 * k:.3f} 0.2 0.3"
+        return f"ROBOTLASER1 0 {start:.6f} {math.radians(count - 1):.6f} {math.radians(1):.6f} 81.9 0.01 0 {count} {ranges} 0 {pose} {pose} 0 0 0 0 0 {k} h {k}\n"  # noqa: E501
+
+    log = open_log(carmen(tmp_path / "a.clf", line))
+    assert [len(scan.ranges) for scan in log.scans[:4]] == [181, 180, 180, 180]
+    assert np.degrees([scan.bearings[7] for scan in log.scans[:4]]) == pytest.approx(
+        [-83, -82.75, -82.25, -82.5], abs=1e-3
+    )
+    with pytest.raises(LogError, match="found angles of -90 to 90, which are degrees"):
+        open_log(carmen(tmp_path / "b.clf", lambda k: line(0).replace("-1.570796 3.141593 0.017453", "-90 180 1")))
