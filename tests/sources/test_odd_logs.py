@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from robot_bag import MOUNT, T0_NS, off_walls_m, robot_bag, way
-from sixthsense.slam.scans.scan_store import ScanStore
 
 import sixthsense as ss
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
+from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.bag_file import opened
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, stamp_ns
