@@ -76,7 +76,7 @@ def check_published(published: dict[str, list[Any]], trace: Any) -> None:
     assert len(published["/pose"]) > 20 and len(published["/tf"]) > 20
     for message in published["/pose"]:
         at = message.pose.pose.position
-        assert (at.x, at.y) == by_stamp[stamp_ns(message)][:2]
+        assert (at.x, at.y) == tuple(by_stamp[stamp_ns(message)][:2])
     assert set(np.unique(published["/map"][-1].data)) == {-1, 0, 100}
 
 

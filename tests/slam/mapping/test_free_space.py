@@ -111,7 +111,7 @@ def test_old_evidence_is_that_of_three_scans_with_the_same_obstacles_and_free_ce
 def test_places_are_free_if_all_cells_around_them_are_seen_and_none_is_an_obstacle():
     rng = np.random.default_rng(7)
     mapper = Mapper(CONFIG, 0.11)
-    mapper.add(lambda: np.array([[0.2, -0.4, 0.8]]), scattered(rng), NO_WALLS)
+    mapper.add(0, lambda: np.array([[0.2, -0.4, 0.8]]), scattered(rng), NO_WALLS)
     grid, points = mapper.grid, rng.uniform(-0.9, 0.9, (300, 2))
     is_free = mapper.are_free(points, 0.02)
     known = grid.seen & ~grid.obstacles
