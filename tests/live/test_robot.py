@@ -15,7 +15,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
-from sixthsense.live.robot import LiveRobot, Steering
+from sixthsense.live.robot import LiveRobot, Steering, placed
 from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -317,6 +317,14 @@ def test_a_robot_that_is_started_again_is_found_in_the_map(place, T_anew_world, 
     errors = errors_m(trace, driver)
     assert errors.max() < 0.3 and errors[-1] < 0.03  # as uncertain as is said, until a loop is closed
     assert len(trace.carried_scans()) == 1
+
+
+def test_the_tick_of_a_place_that_was_found_is_known_to_decimetres_and_has_no_scan():
+    scan = Scan(np.array([2.5, 3.5], np.float32), np.float32(-0.7), np.float32(0.3), 9.0)
+    T, tick = Pose(1.5, -0.7, 0.8), Tick(7, Pose(0.3, 0.4, 0.5), scan)
+    found = placed(tick, T)
+    assert (found.stamp_ns, found.odometry, found.scan) == (7, T @ tick.odometry, None)
+    assert found.increment_cov == pytest.approx(np.diag([0.09, 0.09, 0.01]))
 
 
 def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
