@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Sequence
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +30,6 @@ from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
-RECENT_GROUP = -2
-"""the group of links between keyframes of one pass"""
 RECENT = 4  # keyframes before a keyframe that it is linked to
 _OLD = 4  # most links of a keyframe to old ones
 OLD_AGE = 25  # keyframes; nearer ones are of the same pass
@@ -45,6 +44,13 @@ _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
 _RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
 
+class LinkKind(Enum):
+    """What a link joins."""
+
+    ONE_PASS = "keyframes of one pass"
+    OLD = "a keyframe and an old one, of another pass"
+
+
 class KeyframeLink(NamedTuple):
     """The relative pose of two keyframes, as it was given to the estimator."""
 
@@ -54,8 +60,9 @@ class KeyframeLink(NamedTuple):
     """(3,) of the source's laser in the frame of the target's"""
     cov: Array
     """(3, 3) of its error, axes of the target's laser"""
-    group: int
-    """the loop closure that it follows from; `RECENT_GROUP` between keyframes of one pass"""
+    kind: LinkKind
+    closure: int | None
+    """the loop closure that a link to an old keyframe follows from; None for one before the first"""
 
 
 class ScanGraph:
@@ -87,8 +94,6 @@ class ScanGraph:
         """the variance factor, once it was asked for after all poses were read"""
         self._links: Counter[int] = Counter()
         """number of links of each keyframe to earlier ones"""
-        self._waiting: list[tuple[Alignments, int]] = []
-        """links to recent keyframes, given together with those to old ones: each time costs the estimator a solution"""
 
     @property
     def poses(self) -> Array:
@@ -124,29 +129,40 @@ class ScanGraph:
         if self.count - self._refreshed >= _REFRESH_PERIOD:
             self.refresh()
 
-    def link(self, key: int, old: NDArray[np.int64], group: int) -> list[int]:
-        """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones."""
+    def link(self, key: int, old: NDArray[np.int64], closure: int | None) -> list[int]:
+        """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones.
+
+        All at once: each time costs the estimator a solution.
+        """
         recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
         good = np.flatnonzero(recent.agree(AGREEMENT, self.usual_agreement))
-        self._waiting = [(recent, int(k)) for k in good]
-        return self.link_old(key, old, group)
+        return self.give(self._near(key, old), OLD_LOSS, closure, [(recent, int(k)) for k in good])
 
-    def link_old(self, key: int, targets: NDArray[np.int64], group: int) -> list[int]:
+    def link_old(self, key: int, targets: NDArray[np.int64], closure: int | None) -> list[int]:
         """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres; their ids."""
+        return self.give(self._near(key, targets), OLD_LOSS, closure)
+
+    def _near(self, key: int, targets: NDArray[np.int64]) -> list[tuple[Alignments, int]]:
+        """Alignments with old keyframes that agree, near the present poses."""
         found = self._align(targets, key, NEAR_GATE_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < WIDE_GATE_M
         good = np.flatnonzero(found.agree(AGREEMENT, self.usual_agreement) & near)
-        return self.give([(found, int(k)) for k in good], OLD_LOSS, group)
+        return [(found, int(k)) for k in good]
 
     def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
         """Align a keyframe with others, from the present poses."""
         starts = between(self.poses[targets], self.poses[key])
         return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gate_m)
 
-    def give(self, rows: list[tuple[Alignments, int]], loss_scale: float, group: int) -> list[int]:
-        """Give the estimator links between scans of different passes, rows of alignments; their ids."""
-        recent, self._waiting = self._waiting, []
+    def give(
+        self,
+        rows: list[tuple[Alignments, int]],
+        loss_scale: float,
+        closure: int | None,
+        recent: Sequence[tuple[Alignments, int]] = (),
+    ) -> list[int]:
+        """Give links to old keyframes and `recent` ones of one pass, rows of alignments; ids of those to old ones."""
         given = [*recent, *rows]
         sums = np.array([found.sums[k] for found, k in given]).reshape(-1, SUMS)
         self._links.update(int(found.sources[k]) for found, k in given)
@@ -154,11 +170,10 @@ class ScanGraph:
         shared_by = np.array([1.0 + self._links[int(found.sources[k])] for found, k in given])
         covs = covariances(sums, shared_by, self._sigma_m)
         links = [
-            KeyframeLink(
-                int(f.targets[k]), int(f.sources[k]), f.poses[k], cov, RECENT_GROUP if n < len(recent) else group
-            )
-            for n, ((f, k), cov) in enumerate(zip(given, covs, strict=True))
+            KeyframeLink(int(f.targets[k]), int(f.sources[k]), f.poses[k], cov, LinkKind.OLD, closure)
+            for (f, k), cov in zip(given, covs, strict=True)
         ]
+        links[: len(recent)] = [a._replace(kind=LinkKind.ONE_PASS, closure=None) for a in links[: len(recent)]]
         losses = [_RECENT_LOSS] * len(recent) + [loss_scale] * len(rows)
         ids = self._add(links, losses)
         if links:
@@ -195,7 +210,7 @@ class ScanGraph:
         )
         for i, link in zip(ids, links, strict=True):
             self.links[i] = link
-            if link.group != RECENT_GROUP:
+            if link.kind is LinkKind.OLD:
                 self.old_links.setdefault(link.source, []).append(link.target)
                 position = float(np.linalg.eigvalsh(link.cov[:2, :2])[-1])
                 self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
@@ -206,7 +221,7 @@ class ScanGraph:
         for i in ids:
             link = self.links.pop(i)
             self._links[link.source] -= 1
-            if link.group != RECENT_GROUP:
+            if link.kind is LinkKind.OLD:
                 self.old_links[link.source].remove(link.target)
                 if not self.old_links[link.source]:
                     del self.old_links[link.source]
@@ -229,7 +244,7 @@ class ScanGraph:
 
     def _estimated_factor(self) -> float:
         links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
-        passes = {(link.source, link.group == RECENT_GROUP) for link in links}
+        passes = {(link.source, link.kind is LinkKind.ONE_PASS) for link in links}
         keys = {link.source for link in links}
         redundancy = 3.0 * len(passes) * (1.0 - len(keys) / max(len(links), 1))
         return (float(self.squares(links).sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR)
@@ -290,7 +305,6 @@ class ScanGraph:
 
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
-_FIRST = -1  # the group of links before the first loop closure
 
 
 class Closings:
@@ -298,9 +312,9 @@ class Closings:
 
     def __init__(self, graph: ScanGraph) -> None:
         self._graph = graph
-        self._own: dict[int, list[int]] = {_FIRST: []}
+        self._own: dict[int, list[int]] = {}
         """of each loop closure that stands: ids of the links that it was closed with"""
-        self._latest = _FIRST
+        self._latest: int | None = None
         self.accepted = 0
         """loop closures accepted so far"""
         self.undone = 0
@@ -309,7 +323,7 @@ class Closings:
     @property
     def links(self) -> list[KeyframeLink]:
         """Links to old keyframes."""
-        return [link for link in self._graph.links.values() if link.group != RECENT_GROUP]
+        return [link for link in self._graph.links.values() if link.kind is LinkKind.OLD]
 
     @property
     def own_keys(self) -> set[int]:
@@ -349,16 +363,16 @@ class Closings:
 
     def _broken(self, newest: int) -> int:
         """How many links of all loop closures but the newest one contradict the estimate."""
-        others = [link for link in self.links if link.group != newest]
+        others = [link for link in self.links if link.closure != newest]
         return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
 
     def _undo(self, g: int) -> None:
         """Take back a loop closure and all links that followed from it."""
         del self._own[g]
-        self._graph.remove([i for i, link in self._graph.links.items() if link.group == g])
+        self._graph.remove([i for i, link in self._graph.links.items() if link.closure == g])
         self.undone += 1
         if g == self._latest:
-            self._latest = max(self._own)
+            self._latest = max(self._own, default=None)
 
 
 _BATCH = 10  # keyframes that leave together: each time costs the estimator a solution
@@ -384,7 +398,8 @@ class Thinning:
                 self._spare.append(k)
             self._next = k + 1
         # A loop may have been closed with some of them since they were judged.
-        self._spare = [k for k in self._spare if k not in self._closings.own_keys]
+        own_keys = self._closings.own_keys
+        self._spare = [k for k in self._spare if k not in own_keys]
         if len(self._spare) >= _BATCH:
             self._graph.take_out(self._spare)
             self._spare = []
