@@ -29,6 +29,8 @@ def command(args: list[str]) -> int:
 
     prior = options.prior_start()
     config, task = mission_of(with_task(config, flags, "--"))
+    for note in task.scene.notes:
+        announce(f"note: {task.scene.name}: {note}")
     with (
         run_folder(options, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
         live_view(options) as hooks,

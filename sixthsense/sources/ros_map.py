@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +19,9 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.sources.scene_files import Coordinate, SceneError, check_count, read_floats, read_section, read_text
 
 MAX_PIXELS = 100_000_000
-_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
+_FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF")
+_SAVED_UNKNOWN, _SAVED_FREE = 205, 254
+"""pixels that map_saver writes for unknown and free cells"""
 _LONGEST = 1 << 16  # characters
 _LONGEST_NAME = 1000
 _LONGEST_REASON = 300
@@ -47,38 +49,57 @@ class _Map(Section):
     negate: Literal["0", "1", "false", "true"]
     occupied_thresh: Annotated[float, Range(0.0, 1.0)]
     free_thresh: Annotated[float, Range(0.0, 1.0)]
-    mode: Literal["trinary", "scale"] = "trinary"
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 < len(self.image) <= _LONGEST_NAME:
             raise ConfigError(f"image: found a name of {len(self.image)} characters, allowed: the name of a file")
-        if self.free_thresh > self.occupied_thresh:
-            raise ConfigError(f"free_thresh: found {self.free_thresh:g}, allowed: at most occupied_thresh")
 
 
-def read_map(file: Path, unknown: Literal["wall", "free"]) -> Array:
-    """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left.
+def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
+    """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left; and notes on it.
 
     Cells are solid from `free_thresh` on, so that beams and robots do not leave a building through the holes in a
     scanned wall, nor where the image ends in a corridor; with `unknown` free, cells whose occupancy is above
     `occupied_thresh` alone. The pixel's value is the mean over the image's channels, alpha included in mode trinary, as
-    in map_server. Raises SceneError, without the map file's name, for a field that is missing, unknown or not allowed,
-    and for an image that is missing, damaged, huge, entirely free or entirely solid.
+    in Nav2's map_server, whose rules hold but for one: in mode trinary a pixel of 205 beside some of 254 is unknown
+    whatever `free_thresh` is, since map_saver has written it so. Fields of other programs are ignored. Raises
+    SceneError, without the map file's name, for a field that is missing or not allowed, and for an image that is
+    missing, damaged, huge, entirely free or entirely solid.
     """
     table = _read_yaml(file)
     if isinstance(table, dict):
-        table = {key: _read_value(key, text) for key, text in table.items()}
+        known = {f.name for f in fields(_Map)}
+        table = {key: _read_value(key, text) for key, text in table.items() if key in known}
     stated = read_section("", table, _Map)
     T_world_map = Pose(*stated.origin)
 
-    image = file.parent / stated.image
-    values = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
+    image = file.parent / Path(stated.image).expanduser()
+    values, is_transparent = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
+    channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint16)
-    shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # mean of each sum, 0 black to 1 white
+    shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
     occupancy = shade if stated.negate in ("1", "true") else 1.0 - shade
-    is_occupied = occupancy > stated.occupied_thresh if unknown == "free" else occupancy >= stated.free_thresh
-    occupied = is_occupied[total]
+    is_unknown = np.zeros(len(shade), dtype=np.bool_)
+    if stated.mode == "raw":  # the pixels are the occupancy in percent
+        occupancy, is_unknown = 2.55 * shade, shade > 100.5 / 255.0
+    is_occupied = (occupancy > stated.occupied_thresh) & ~is_unknown
+    is_free = (occupancy < stated.free_thresh) & ~is_occupied & ~is_unknown
+    saved, notes = _SAVED_UNKNOWN * channels, []
+    if (
+        stated.mode == "trinary"
+        and is_free[saved]
+        and {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
+    ):
+        is_free[saved] = False
+        notes.append(
+            f"pixels of {_SAVED_UNKNOWN} are unknown, as map_saver writes them; with free_thresh "
+            f"{stated.free_thresh:g} Nav2's map_server takes them as free"
+        )
+    occupied = is_occupied[total] if unknown == "free" else ~is_free[total]
+    if stated.mode == "scale":
+        occupied = np.where(is_transparent, unknown == "wall", occupied)
     if not occupied.any():
         raise SceneError(f"{image}: found no occupied pixel, allowed: at least one above occupied_thresh")
     if occupied.all():
@@ -92,7 +113,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> Array:
     following = np.arange(1, len(corners) + 1)
     following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
     corners_world = T_world_map @ np.asarray((corners - beyond) * stated.resolution, dtype=np.float64)
-    return np.stack([corners_world, corners_world[following]], axis=1)
+    return np.stack([corners_world, corners_world[following]], axis=1), tuple(notes)
 
 
 def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
@@ -123,11 +144,11 @@ def _read_value(key: Any, text: Any) -> Any:
         return read_floats([text])[0]
     if key == "origin" and isinstance(text, list):
         return read_floats(text)
-    return text.lower() if key == "negate" and isinstance(text, str) else text
+    return text.lower() if key in ("negate", "mode") and isinstance(text, str) else text
 
 
-def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
-    """The image's pixels (H, W, channels), 0 to 255."""
+def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """The image's pixels (H, W, channels), 0 to 255, and (H, W) which are transparent, if only in part."""
     from PIL import Image
 
     try:
@@ -141,12 +162,15 @@ def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
             if width * height > MAX_PIXELS:
                 raise SceneError(f"{path}: found {width} x {height} pixels, allowed: {MAX_PIXELS:,} in all")
             if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
-                return (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)[:, :, None]
+                grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_)
             alpha = "A" in image.getbands() or "transparency" in image.info
             if image.mode in ("1", "L") and not alpha:
-                return np.asarray(image.convert("L"))[:, :, None]
+                grey = np.asarray(image.convert("L"))
+                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_)
             pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
-            return pixels if with_alpha else pixels[:, :, :3]
+            is_transparent = pixels[:, :, -1] < 255 if alpha else np.zeros(pixels.shape[:2], dtype=np.bool_)
+            return pixels if with_alpha else pixels[:, :, :3], is_transparent
     except SceneError:
         raise
     except Image.DecompressionBombError:

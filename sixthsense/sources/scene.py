@@ -70,6 +70,8 @@ class Scene:
     """(G, 2, 2) segments that stop the robot and return no beam; read-only."""
     walkers: tuple[ScriptedWalk, ...] = ()
     """Walks of people that the file states."""
+    notes: tuple[str, ...] = ()
+    """what a user should know of the file, a line each"""
 
     def __post_init__(self) -> None:
         walls = np.array(self.walls, dtype=np.float64)
@@ -105,8 +107,9 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
             return _from_scn(path)
         from sixthsense.sources.ros_map import read_map
 
-        walls = read_map(path, map_unknown)
-        return Scene(path.stem, walls, None, DEFAULT_ROBOT_RADIUS_M, None, (), _bounds(walls), solid_left=True)
+        walls, notes = read_map(path, map_unknown)
+        bounds = _bounds(walls)
+        return Scene(path.stem, walls, None, DEFAULT_ROBOT_RADIUS_M, None, (), bounds, solid_left=True, notes=notes)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
 

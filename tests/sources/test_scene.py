@@ -216,7 +216,8 @@ def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"free_thresh": "0.7"}, "free_thresh: found 0.7, allowed: at most occupied_thresh"),
+        ({"free_thresh": "1.7"}, "free_thresh: found 1.7"),
+        ({"mode": "grey"}, "mode: found 'grey'"),
         ({"origin": "[0.3, 0.4]"}, "origin: "),
         ({"resolution": "0"}, "resolution: "),
     ],
@@ -244,6 +245,36 @@ def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> 
     assert (
         sides(load_scene(write(tmp_path, "n.yaml", path.read_text().replace("m.png", f"{tmp_path}/m.pgm")))) == expected
     )
+
+
+def saved_map() -> np.ndarray:
+    """Pixels as map_saver writes them: a room that was seen in part, and a wall in it."""
+    grey = np.full((20, 30), 205)
+    grey[4:15, 3:21], grey[4, 3:21], grey[6:9, 11] = 254, 0, 0
+    return grey
+
+
+@pytest.mark.parametrize("free_thresh", ["0.25", "0.7"])
+def test_what_a_saver_wrote_as_unknown_stays_so_with_a_note(tmp_path: Path, free_thresh: str) -> None:
+    grey = saved_map()
+    expected = load_scene(write_map(tmp_path, grey))
+    found = load_scene(write_map(tmp_path, grey, free_thresh=free_thresh))
+    assert sides(found) == sides(expected) and not expected.notes
+    assert f"with free_thresh {free_thresh} Nav2's map_server takes them as free" in found.notes[0]
+    other_grey = load_scene(write_map(tmp_path, np.where(grey == 254, 240, grey), free_thresh=free_thresh))
+    assert sides(other_grey) != sides(expected) and not other_grey.notes
+
+
+def test_maps_load_by_the_rules_of_nav2(tmp_path: Path) -> None:
+    """Other programs' fields and mode in any case; raw pixels in percent, transparent ones, and TIFF."""
+    grey = saved_map()
+    expected = sides(load_scene(write_map(tmp_path, grey)))
+    assert sides(load_scene(write_map(tmp_path, grey, map_version="1.0", mode="Trinary"))) == expected
+    assert sides(load_scene(write_map(tmp_path, grey, "m.tif"))) == expected
+    raw = np.select([grey == 205, grey == 0], [255, 100], 0)
+    assert sides(load_scene(write_map(tmp_path, raw, mode="raw"))) == expected
+    clear = np.dstack([np.where(grey == 205, 254, grey)] * 3 + [np.where(grey == 205, 0, 255)])
+    assert sides(load_scene(write_map(tmp_path, clear, mode="scale"))) == expected
 
 
 # --- real files
