@@ -26,7 +26,7 @@ Order = Literal["translation", "rotation"]
 Source = str | Path | MeasuredRun | Sequence[ArrayLike]
 """a bag, a TUM file, the folder of a run, a run, or arrays: stamps, poses and, of an estimate, covariances"""
 
-_STAMP_SLACK_NS = 10_000
+_ROUNDED_S = 1e-5
 """of a covariance and its pose: decimals of a stamp in seconds since 1970 that a float holds end at 0.2 us"""
 _FORMS = "(N, 3) x y theta, (N, 7) x y z qx qy qz qw, or (N, 3, 3) or (N, 4, 4) matrices"
 
@@ -98,7 +98,9 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         return made(f"{path} {found.topic}", found.stamps_ns, found.poses)
     from sixthsense.sources.logs.text_lines import read_tum
 
-    return made(str(path), *read_tum(_file(path)))
+    notes: list[str] = []
+    stamps, values = read_tum(_file(path), notes)
+    return replace(made(str(path), stamps, values), notes=tuple(notes))
 
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
@@ -114,17 +116,21 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
             f"covariance: found nothing for {path}, allowed: a file with a stamp and 6 or 21 numbers of the upper "
             "triangle in each line"
         )
+    from sixthsense.sources.logs.stamps import matched
     from sixthsense.sources.logs.text_lines import read_covariances, read_tum
 
-    stamps, values = read_tum(path)
-    cov_stamps, covs = read_covariances(covariance)
-    order = np.argsort(cov_stamps, kind="stable")
-    cov_stamps, covs = cov_stamps[order], covs[order]
-    nearest = np.clip(np.searchsorted(cov_stamps, stamps - _STAMP_SLACK_NS), 0, len(cov_stamps) - 1)
-    has = np.abs(cov_stamps[nearest] - stamps) <= _STAMP_SLACK_NS
+    notes: list[str] = []
+    stamps, values = read_tum(path, notes)
+    cov_stamps, covs = read_covariances(covariance, notes)
+    rows = matched(1e-9 * cov_stamps, 1e-9 * stamps)
+    has = rows >= 0
     if not has.any():
         raise AuditError(f"{covariance}: found no stamp of {path}, allowed: the stamps of its poses")
-    return made(str(path), stamps[has], values[has], covs[nearest[has]])
+    off_s = 1e-9 * float(np.abs(cov_stamps[rows[has]] - stamps[has]).max())
+    if not has.all() or off_s > _ROUNDED_S:
+        count = f"{np.count_nonzero(has):,} of {len(has):,} poses"
+        notes.append(f"{count} have a covariance within half a period, {off_s:.3g} s away at most")
+    return replace(made(str(path), stamps[has], values[has], covs[rows[has]]), notes=tuple(notes))
 
 
 def _file(path: Path) -> Path:

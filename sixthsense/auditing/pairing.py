@@ -83,6 +83,7 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     truth. Raises AuditError if nothing is left, and if the estimate is the truth.
     """
     estimate, truth, notes = same_space(estimate, truth)
+    notes = [*estimate.notes, *truth.notes, *notes]
     assert estimate.covs is not None
     at = estimate.stamps_ns + offset_ns
     inside = (at >= truth.stamps_ns[0]) & (at <= truth.stamps_ns[-1])

@@ -43,6 +43,8 @@ class Poses:
     """whose axes the covariances have by the convention of the file's format; None where it has none"""
     frames: tuple[str, str] = ("", "")
     """names of the parent and the child frame, of a bag"""
+    notes: tuple[str, ...] = ()
+    """what was assumed of the file, a line each"""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -13,6 +13,7 @@ from sixthsense.cli import main
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.metrics import nees_world
 from sixthsense.record.messages import Messages
+from sixthsense.sources.logs.text_lines import read_tum
 
 N = 400
 STAMPS_NS = 1_700_000_000_000_000_000 + 100_000_000 * np.arange(N)
@@ -168,3 +169,13 @@ def test_the_command_prints_writes_and_draws_and_may_require_consistency(tmp_pat
     assert main(["audit", *wrong, "--require", "consistent"]) == 1
     assert "overconfident: errors are" in capsys.readouterr().out
     assert "--json: " in complaint(capsys, *words, *out)
+
+
+def test_a_trajectory_in_nanoseconds_is_read_as_that_with_a_note(tmp_path):
+    rows = [line.split() for line in tum(tmp_path / "s.tum").read_text().splitlines()]
+    lines = [" ".join([str(ns), *row[1:]]) for ns, row in zip(STAMPS_NS.tolist(), rows, strict=True)]
+    (tmp_path / "ns.tum").write_text("\n".join(lines) + "\n")
+    notes: list[str] = []
+    stamps, poses = read_tum(tmp_path / "ns.tum", notes)
+    assert np.array_equal(stamps, STAMPS_NS) and np.array_equal(poses, read_tum(tmp_path / "s.tum")[1])
+    assert len(notes) == 1 and "are taken as nanoseconds" in notes[0]

@@ -198,7 +198,7 @@ def _file(folder: Path, name: str) -> Path:
 
 def _ascending_ns(table: Table) -> list[int]:
     """(N,) stamps that do not decrease."""
-    stamps = table.stamps_ns()
+    stamps: list[int] = table.stamps_ns().tolist()
     for (before, after), record in zip(itertools.pairwise(stamps), table.records[1:], strict=True):
         if after < before:
             record.fail(f"found stamp {shown(record.fields[0])}, allowed: not before that of the previous line")

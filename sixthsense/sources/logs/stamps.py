@@ -96,10 +96,10 @@ def shown_span(stamps_ns: ArrayLike) -> str:
     return f"{1e-9 * stamps.min():.3f} to {1e-9 * stamps.max():.3f} s"
 
 
-def unit_of(stamps: Array) -> tuple[float, str]:
+def unit_of(stamps: Array) -> tuple[int, str]:
     """Parts of a second, and their name, that stamps since 1970 of this size are in; seconds for any others."""
     largest = float(np.abs(stamps).max(initial=0.0))
-    for parts, name in ((1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")):
+    for parts, name in ((10**9, "nanoseconds"), (10**6, "microseconds"), (10**3, "milliseconds")):
         if largest > _SECONDS * parts:
             return parts, name
-    return 1.0, "seconds"
+    return 1, "seconds"

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.sources.logs.stamps import unit_of
 
 LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
+_LARGEST_STAMP = 1e9 * LAST_STAMP_S  # of any unit
 _LARGEST_WHOLE = (1 << 31) - 1
 _TRIANGLES = {6: 3, 21: 6}
 """numbers of the upper triangle of a covariance, and its size"""
@@ -51,19 +53,19 @@ class Record:
         """Raise LogError with file and line."""
         raise LogError(f"{self.path} line {self.line}: {what}")
 
-    def numbers(self, fields: list[bytes]) -> Array:
-        """(len(fields),) finite numbers, up to `LARGEST` in magnitude."""
+    def numbers(self, fields: list[bytes], largest: float = LARGEST) -> Array:
+        """(len(fields),) finite numbers, up to `largest` in magnitude."""
         values = self.parsed(fields)
-        bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
+        bad = np.flatnonzero(~(np.abs(values) <= largest))
         if len(bad):
-            self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {LARGEST:.0e}")
+            self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {largest:.0e}")
         return values
 
-    def stamp_ns(self, field: bytes) -> int:
-        """Nanoseconds of a stamp in seconds, from its decimal digits; a float would round to 0.1 us."""
+    def stamp_ns(self, field: bytes, parts: int = 1) -> int:
+        """Nanoseconds of a stamp in `parts` of a second, from its decimal digits; a float would round to 0.1 us."""
         try:
             # Decimal accepts underscores, unlike the other fields.
-            stamp = Decimal("nan" if field.strip(b"0123456789+-.eE") else field.decode())
+            stamp = Decimal("nan" if field.strip(b"0123456789+-.eE") else field.decode()) / parts
         except InvalidOperation:
             stamp = Decimal("nan")
         if not (stamp.is_finite() and abs(stamp) <= LAST_STAMP_S):
@@ -106,9 +108,12 @@ class Table(NamedTuple):
     numbers: Array
     """(N, columns)"""
 
-    def stamps_ns(self) -> list[int]:
-        """(N,) stamps, nanoseconds, of the first column in seconds."""
-        return [record.stamp_ns(record.fields[0]) for record in self.records]
+    def stamps_ns(self, notes: list[str] | None = None) -> NDArray[np.int64]:
+        """(N,) stamps, nanoseconds, of the first column in seconds; in another unit if they say so, with a note."""
+        parts, name = unit_of(self.numbers[:, 0])
+        if parts > 1 and notes is not None:
+            notes.append(f"{self.records[0].path}: stamps as large as {self.numbers[0, 0]:.0f} are taken as {name}")
+        return np.array([record.stamp_ns(record.fields[0], parts) for record in self.records], dtype=np.int64)
 
     def check(self, column: int, name: str, low: float, high: float) -> None:
         """Fail at the first line with a number outside [low, high] in a column."""
@@ -119,11 +124,12 @@ class Table(NamedTuple):
             record.fail(f"found {name} {shown(record.fields[column])}, allowed: {low:g} to {high:g}")
 
 
-def read_table(path: Path, columns: str, widths: Sequence[int] = ()) -> Table:
+def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to: float = LARGEST) -> Table:
     """A line of numbers, separated by spaces or commas, for each record; at least one.
 
     All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises LogError, naming
-    the line, for any other line, and for numbers that are not finite or beyond `LARGEST`.
+    the line, for any other line, and for numbers that are not finite or beyond `LARGEST`, `first_up_to` in the first
+    column.
     """
     widths = widths or (len(columns.split()),)
     found: list[Record] = []
@@ -138,37 +144,41 @@ def read_table(path: Path, columns: str, widths: Sequence[int] = ()) -> Table:
         numbers = np.array([record.fields for record in found], dtype=np.float64)
     except ValueError:
         numbers = np.full((len(found), len(found[0].fields)), np.nan)
-    if not (np.abs(numbers) <= LARGEST).all():
+    largest = np.array([first_up_to] + [LARGEST] * (numbers.shape[1] - 1))
+    if not (np.abs(numbers) <= largest).all():
         for record in found:
-            record.numbers(record.fields)  # says what is wrong in the first bad line
+            record.numbers(record.fields[:1], first_up_to)  # says what is wrong in the first bad line
+            record.numbers(record.fields[1:])
     return Table(found, numbers)
 
 
-def read_tum(file: Path) -> tuple[NDArray[np.int64], Array]:
+def read_tum(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int64], Array]:
     """Stamps (N,), ns, and poses (N, 7), x y z qx qy qz qw, of a TUM trajectory; plain, gzip or bzip2.
 
-    Lines that are empty or begin with # are skipped. Raises LogError, naming the line, for any other line than one of
-    eight finite numbers, for a quaternion that is zero, and for a file without a pose.
+    Lines that are empty or begin with # are skipped. Stamps are seconds, or as large as those in a part of a second
+    since 1970, which is said in `notes`. Raises LogError, naming the line, for any other line than one of eight finite
+    numbers, for a quaternion that is zero, and for a file without a pose.
     """
-    table = read_table(file, "stamp x y z qx qy qz qw")
+    table = read_table(file, "stamp x y z qx qy qz qw", first_up_to=_LARGEST_STAMP)
     zero = np.flatnonzero(~np.any(table.numbers[:, 4:], axis=1))
     if len(zero):
         table.records[zero[0]].fail("found a quaternion that is zero, allowed: a rotation")
-    return np.array(table.stamps_ns(), dtype=np.int64), table.numbers[:, 1:]
+    return table.stamps_ns(notes), table.numbers[:, 1:]
 
 
-def read_covariances(file: Path) -> tuple[NDArray[np.int64], Array]:
+def read_covariances(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int64], Array]:
     """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): a stamp and the upper triangle, row by row, in a line.
 
-    6 numbers are of SE(2), 21 of SE(3). Raises LogError, naming the line, for any other line.
+    6 numbers are of SE(2), 21 of SE(3). Stamps are as of `read_tum`. Raises LogError, naming the line, for any other.
     """
-    table = read_table(file, "a stamp and the upper triangle", [1 + count for count in _TRIANGLES])
+    lengths = [1 + count for count in _TRIANGLES]
+    table = read_table(file, "a stamp and the upper triangle", lengths, _LARGEST_STAMP)
     values = table.numbers[:, 1:]
     size = _TRIANGLES[values.shape[1]]
     rows, columns = np.triu_indices(size)
     covs = np.zeros((len(values), size, size))
     covs[:, rows, columns] = covs[:, columns, rows] = values
-    return np.array(table.stamps_ns(), dtype=np.int64), covs
+    return table.stamps_ns(notes), covs
 
 
 def records(path: Path, separator: bytes = b" ") -> Iterator[Record]:
