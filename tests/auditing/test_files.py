@@ -172,7 +172,7 @@ def test_the_command_prints_writes_and_draws_and_may_require_consistency(tmp_pat
 
 
 def test_a_trajectory_in_nanoseconds_is_read_as_that_with_a_note(tmp_path):
-    rows = [line.split() for line in tum(tmp_path / "s.tum").read_text().splitlines()]
+    rows = [line.split() for line in tum(tmp_path / "s.tum").read_text().splitlines() if line[:1] not in ("", "#")]
     lines = [" ".join([str(ns), *row[1:]]) for ns, row in zip(STAMPS_NS.tolist(), rows, strict=True)]
     (tmp_path / "ns.tum").write_text("\n".join(lines) + "\n")
     notes: list[str] = []
