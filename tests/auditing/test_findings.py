@@ -95,13 +95,10 @@ def found_with(samples, low, high, **changes):
     return dataclasses.replace(found, **changes)
 
 
-@pytest.mark.parametrize(
-    ("samples", "low", "high", "outcome"),
-    [
-        (29.9, 1.2, 1.6, "no verdict"), (30.0, 1.2, 1.6, "overconfident"), (30.0, 1.001, 1.6, "overconfident"),
-        (30.0, 0.999, 1.6, "consistent"), (30.0, 0.4, 1.001, "consistent"), (30.0, 0.4, 0.999, "cautious"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("samples", "low", "high", "outcome"), [
+    (29.9, 1.2, 1.6, "no verdict"), (30.0, 1.2, 1.6, "overconfident"), (30.0, 1.001, 1.6, "overconfident"),
+    (30.0, 0.999, 1.6, "consistent"), (30.0, 0.4, 1.001, "consistent"), (30.0, 0.4, 0.999, "cautious"),
+])  # fmt: skip
 def test_the_verdict_flips_where_the_interval_leaves_one_and_where_samples_are_too_few(samples, low, high, outcome):
     assert found_with(samples, low, high).outcome == outcome
 
@@ -131,13 +128,10 @@ def test_the_sentence_has_the_interval_of_the_sigmas_and_the_axes_that_deviate_m
     assert verdict(found_with(60.0, 0.64, 1.44)) == "consistent: errors are 0.80 to 1.20 times the stated sigmas"
 
 
-@pytest.mark.parametrize(
-    ("samples", "nees", "shared", "reason"),
-    [
-        (12.0, 4.0, 0.06, "all depend on the first pose"), (12.0, 4.0, 0.04, "errors last too long"),
-        (12.0, 16.0, 0.04, "errors last too long"), (12.0, 16.5, 0.04, "is not chance"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("samples", "nees", "shared", "reason"), [
+    (12.0, 4.0, 0.06, "all depend on the first pose"), (12.0, 4.0, 0.04, "errors last too long"),
+    (12.0, 16.0, 0.04, "errors last too long"), (12.0, 16.5, 0.04, "is not chance"),
+])  # fmt: skip
 def test_the_reason_for_no_verdict_is_the_first_pose_an_error_that_stays_or_too_short_a_time(
     samples, nees, shared, reason
 ):
@@ -204,12 +198,8 @@ def changed(**changes):
     """A planar run that can be audited, but for what is changed."""
     one = drawn(5, 2)
     parts = {
-        "stamps": one.stamps,
-        "estimate": one.estimate,
-        "covs": one.covs,
-        "truth": one.truth,
-        "at": one.stamps,
-    } | changes
+        "stamps": one.stamps, "estimate": one.estimate, "covs": one.covs, "truth": one.truth, "at": one.stamps,
+    } | changes  # fmt: skip
     return (parts["stamps"], parts["estimate"], parts["covs"]), (parts["at"], parts["truth"])
 
 

@@ -247,16 +247,12 @@ def test_flags_beat_the_file_which_beats_the_presets(monkeypatch: pytest.MonkeyP
 # Workers
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({}, ""),
-        ({"minor": "3.2.9"}, "worker tcp://b: found Python 3.2, allowed: "),
-        ({"answer": ImportError("no such\nmodule")}, r"found no usable sixthsense \(ImportError: no such module\)"),
-        ({"version": "0.0.0"}, "found version 0.0.0 of sixthsense, allowed: "),
-        ({"digest": "0" * 16}, "found another scene loop than on this machine"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    ({}, ""), ({"minor": "3.2.9"}, "worker tcp://b: found Python 3.2, allowed: "),
+    ({"answer": ImportError("no such\nmodule")}, r"found no usable sixthsense \(ImportError: no such module\)"),
+    ({"version": "0.0.0"}, "found version 0.0.0 of sixthsense, allowed: "),
+    ({"digest": "0" * 16}, "found another scene loop than on this machine"),
+])  # fmt: skip
 def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], said: str) -> None:
     one = campaign_of({**AXES, "scene": ["loop"]}, [0], {"map_unknown": "free"})
     python = {"host": {"python": f"{worker.python_minor()}.1"}}

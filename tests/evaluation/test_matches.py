@@ -27,15 +27,10 @@ LASER = TrueLaser(LaserConfig(mount=MOUNT), LaserNoise(range_m=0.012, bearing_ra
 COV = np.diag([0.01**2, 0.005**2])
 
 # Two rooms side by side, 0.2 m of solid between them; a wall that stands free, thin; a wall in two pieces in line.
-WALLS = np.array(
-    [
-        [[0.0, 0.0], [4.0, 0.0]],
-        [[6.0, 0.0], [9.0, 0.0]],
-        [[4.0, 0.0], [4.0, 3.0]],
-        [[4.2, 0.0], [4.2, 3.0]],
-        [[1.0, 1.5], [2.0, 1.5]],
-    ]
-)
+WALLS = np.array([
+    [[0.0, 0.0], [4.0, 0.0]], [[6.0, 0.0], [9.0, 0.0]], [[4.0, 0.0], [4.0, 3.0]], [[4.2, 0.0], [4.2, 3.0]],
+    [[1.0, 1.5], [2.0, 1.5]],
+])  # fmt: skip
 SCENE = true_identities(WALLS)
 BELOW, ABOVE = Pose(1.5, 0.8, 0.4), Pose(1.5, 2.2, -0.3)
 

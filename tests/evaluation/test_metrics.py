@@ -87,22 +87,18 @@ def polyline(*points: tuple[float, float]) -> list[list[tuple[float, float]]]:
     return [list(pair) for pair in itertools.pairwise(points)]
 
 
-@pytest.mark.parametrize(
-    ("walls", "expected"),
-    [
-        (polyline((0, 0), (4, 0)), [(0, 0), (4, 0)]),
-        (polyline((0, 0), (2, 0), (4, 0)), [(0, 0), (4, 0)]),
-        (polyline((0, 0), (3, 0)) + polyline((5, 0), (2, 0)), [(0, 0), (5, 0)]),
-        (polyline((0, 0), (4, 0), (4, 3), (0, 3), (0, 0)), [(0, 0), (0, 3), (4, 0), (4, 3)]),
-        (polyline((0, 0), (4, 0)) + polyline((2, 0), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
-        (polyline((0, 0), (4, 0)) + polyline((2, 1e-4), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
-        (polyline((0, 0), (4, 0)) + polyline((2, -1), (2, 3)), [(0, 0), (2, -1), (2, 0), (2, 3), (4, 0)]),
-        (polyline((0, 0), (2, 0), (4, 0)) + polyline((2, 0), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
-        (polyline((0, 0), (4, 0)) + polyline((0, 0), (4, 0)), [(0, 0), (4, 0)]),
-        (polyline((0, 0), (0, 0), (4, 0)), [(0, 0), (4, 0)]),
-        (polyline((0, 0), (4, 0)) + polyline((0, 1), (4, 1)), [(0, 0), (0, 1), (4, 0), (4, 1)]),
-    ],
-)
+@pytest.mark.parametrize(("walls", "expected"), [
+    (polyline((0, 0), (4, 0)), [(0, 0), (4, 0)]), (polyline((0, 0), (2, 0), (4, 0)), [(0, 0), (4, 0)]),
+    (polyline((0, 0), (3, 0)) + polyline((5, 0), (2, 0)), [(0, 0), (5, 0)]),
+    (polyline((0, 0), (4, 0), (4, 3), (0, 3), (0, 0)), [(0, 0), (0, 3), (4, 0), (4, 3)]),
+    (polyline((0, 0), (4, 0)) + polyline((2, 0), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
+    (polyline((0, 0), (4, 0)) + polyline((2, 1e-4), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
+    (polyline((0, 0), (4, 0)) + polyline((2, -1), (2, 3)), [(0, 0), (2, -1), (2, 0), (2, 3), (4, 0)]),
+    (polyline((0, 0), (2, 0), (4, 0)) + polyline((2, 0), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
+    (polyline((0, 0), (4, 0)) + polyline((0, 0), (4, 0)), [(0, 0), (4, 0)]),
+    (polyline((0, 0), (0, 0), (4, 0)), [(0, 0), (4, 0)]),
+    (polyline((0, 0), (4, 0)) + polyline((0, 1), (4, 1)), [(0, 0), (0, 1), (4, 0), (4, 1)]),
+])  # fmt: skip
 def test_true_landmarks_are_ends_corners_and_crossings_but_not_joints_of_a_straight_wall(walls, expected) -> None:
     for turn in (0.0, 0.7, math.pi / 2):
         pose = Pose(3.0, -2.0, turn)

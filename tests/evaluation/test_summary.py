@@ -51,17 +51,14 @@ def test_the_band_is_that_of_the_effective_samples_if_they_are_enough_to_know_th
     assert run_summary(metrics)["consistency"].startswith(told)
 
 
-@pytest.mark.parametrize(
-    ("changes", "label", "told"),
-    [
-        ({"pose_nees_world_mean": 0.21}, "consistency", "cautious: NEES 0.21, below the 0.2 to 9.3"),
-        ({"pose_nees_world_mean": 9.4}, "consistency", "overconfident: NEES 9.4, above the 0.2 to 9.3"),
-        ({"outcome": "goal reached", "goal_error_m": 0.0074}, "outcome", "it stands 7.4 mm from it"),
-        ({"outcome": "explored in part"}, "outcome", "some places are left unseen; coverage 99.8 %"),
-        ({"ate_rmse_m": 0.999, "dead_reckoning_ate_rmse_m": 1.004}, "accuracy", "99.9 cm RMS; odometry alone 1.00 m"),
-        ({"scan_ms_p50": 10.4, "scan_ms_p99": 9.96}, "speed", "10 ms a keyframe, 10 ms at the 99th percentile"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "label", "told"), [
+    ({"pose_nees_world_mean": 0.21}, "consistency", "cautious: NEES 0.21, below the 0.2 to 9.3"),
+    ({"pose_nees_world_mean": 9.4}, "consistency", "overconfident: NEES 9.4, above the 0.2 to 9.3"),
+    ({"outcome": "goal reached", "goal_error_m": 0.0074}, "outcome", "it stands 7.4 mm from it"),
+    ({"outcome": "explored in part"}, "outcome", "some places are left unseen; coverage 99.8 %"),
+    ({"ate_rmse_m": 0.999, "dead_reckoning_ate_rmse_m": 1.004}, "accuracy", "99.9 cm RMS; odometry alone 1.00 m"),
+    ({"scan_ms_p50": 10.4, "scan_ms_p99": 9.96}, "speed", "10 ms a keyframe, 10 ms at the 99th percentile"),
+])  # fmt: skip
 def test_limits_units_and_outcomes_of_a_summary(changes, label, told):
     assert told in run_summary(EXPLORED | changes)[label]
 
@@ -106,11 +103,8 @@ def test_the_interval_of_a_mean_is_that_of_student():
 
 def test_tables_align_escape_and_round_their_cells():
     rows = [
-        ["key", "value", "unit"],
-        ["a heading that is long"],
-        ["ate", digits(0.0123456), "m"],
-        ["n", digits(7), "1"],
-    ]
+        ["key", "value", "unit"], ["a heading that is long"], ["ate", digits(0.0123456), "m"], ["n", digits(7), "1"],
+    ]  # fmt: skip
     assert text_table(rows, "right").splitlines()[2:] == ["ate  0.01235     m", "n          7     1"]
     assert text_table(rows).splitlines()[3] == "n    7        1"
     assert (

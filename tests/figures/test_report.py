@@ -184,13 +184,10 @@ def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, tmp_pat
     assert np.abs(frames[2] - frames[0]).max() > 50
 
 
-@pytest.mark.parametrize(
-    ("args", "complaint"),
-    [
-        (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4, FILE.webp or FILE.gif"),
-        (["{folder}", "--animate"], "--animate: found 2 runs, allowed: one run"),
-    ],
-)
+@pytest.mark.parametrize(("args", "complaint"), [
+    (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4, FILE.webp or FILE.gif"),
+    (["{folder}", "--animate"], "--animate: found 2 runs, allowed: one run"),
+])  # fmt: skip
 def test_an_invalid_film_is_refused_in_one_line(folder, args, complaint, tmp_path, capsys):
     words = ["report", str(folder), "--out", str(tmp_path / "new")]
     assert main([*words, *(word.format(folder=folder) for word in args)]) == 2

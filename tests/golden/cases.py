@@ -59,10 +59,6 @@ def merged(folder: Path, shift_m: float) -> None:
 
 
 CASES: dict[str, Callable[[Path, float], None]] = {
-    "landmarks-ekf-invariant": simulated,
-    "landmarks-isam2": smoothed,
-    "scan-matching": matched,
-    "carmen": carmen,
-    "bag": bag,
-    "merge": merged,
-}
+    "landmarks-ekf-invariant": simulated, "landmarks-isam2": smoothed, "scan-matching": matched, "carmen": carmen,
+    "bag": bag, "merge": merged,
+}  # fmt: skip

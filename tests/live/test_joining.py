@@ -137,14 +137,11 @@ def test_odometry_that_begins_anew_twice_says_how_far_it_has_jumped_and_the_robo
     assert joiner.anew.T_stood_went.array() == pytest.approx((went @ way[0].inverse()).array())
 
 
-@pytest.mark.parametrize(
-    ("pause_s", "off", "is_anew"),
-    [
-        (7.0, Pose(0.0, 4.6), False), (7.0, Pose(0.0, 4.8), True), (7.0, Pose(-4.8), True),
-        (0.02, Pose(0.3, -0.3), False), (0.02, Pose(0.4, -0.4), True),
-        (0.02, Pose(theta=-0.5), False), (0.02, Pose(theta=0.55), True), (0.5, Pose(theta=0.95), False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("pause_s", "off", "is_anew"), [
+    (7.0, Pose(0.0, 4.6), False), (7.0, Pose(0.0, 4.8), True), (7.0, Pose(-4.8), True), (0.02, Pose(0.3, -0.3), False),
+    (0.02, Pose(0.4, -0.4), True), (0.02, Pose(theta=-0.5), False), (0.02, Pose(theta=0.55), True),
+    (0.5, Pose(theta=0.95), False),
+])  # fmt: skip
 def test_odometry_that_moves_or_turns_faster_than_the_robot_can_has_begun_anew(pause_s, off, is_anew):
     joiner, before = ScanJoiner(RobotConfig(speed=0.5, turn_rate=0.8)), Pose(2.0, 3.0, -3.1)
     after = Pose(before.x + off.x, before.y + off.y, before.theta + off.theta)
@@ -225,16 +222,13 @@ def test_a_sensor_is_silent_after_its_time_once_and_says_for_how_long_it_was():
     assert laser.heard(5 * S + 1600 * MS) is None and not laser.falls_silent(5 * S + 1900 * MS)
 
 
-@pytest.mark.parametrize(
-    ("messages", "said"),
-    [
-        ([("a", 0), ("a", 900), ("a", 2000)], ["known"] * 3),
-        ([("a", 7), ("b", 300), ("a", 320)], ["known", "unknown", "second"]),
-        ([("a", 7), ("b", 300), ("c", 320)], ["known", "unknown", "second"]),
-        ([("a", 7), ("b", 300), ("b", 406), ("b", 407), ("b", 420)], ["known", "unknown", "unknown", "new", "known"]),
-        ([("a", 7), ("b", 900), ("b", 920), ("a", 3000)], ["known", "new", "known", "second"]),
-    ],
-)
+@pytest.mark.parametrize(("messages", "said"), [
+    ([("a", 0), ("a", 900), ("a", 2000)], ["known"] * 3),
+    ([("a", 7), ("b", 300), ("a", 320)], ["known", "unknown", "second"]),
+    ([("a", 7), ("b", 300), ("c", 320)], ["known", "unknown", "second"]),
+    ([("a", 7), ("b", 300), ("b", 406), ("b", 407), ("b", 420)], ["known", "unknown", "unknown", "new", "known"]),
+    ([("a", 7), ("b", 900), ("b", 920), ("a", 3000)], ["known", "new", "known", "second"]),
+])  # fmt: skip
 def test_a_publisher_beside_another_is_told_from_one_that_takes_its_place(messages, said):
     publishers = Publishers()
     assert [publishers.heard(name, ms * MS) for name, ms in messages] == said

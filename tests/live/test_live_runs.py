@@ -105,8 +105,7 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "outcome"),
-    [("SIGTERM", 143, "interrupted"), ("SIGINT", 0, "ended by the user")],
+    ("name", "code", "outcome"), [("SIGTERM", 143, "interrupted"), ("SIGINT", 0, "ended by the user")]
 )
 def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, here, _compiled):
     task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
@@ -132,10 +131,7 @@ def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, he
 
 def test_a_robot_whose_driver_is_killed_stands_within_its_timeout_and_is_alone(here, _compiled, capsys):
     task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
-    with (
-        process("simulate", "rectangle", "--truth", "truth.tum"),
-        process("live", "--out", "x", *task) as live,
-    ):
+    with process("simulate", "rectangle", "--truth", "truth.tum"), process("live", "--out", "x", *task) as live:
         wait_until(lambda: len(np.unique(truth_of(here / "truth.tum")[:, 1:], axis=0)) > 5)
         live.kill()
         killed_s = time.time()

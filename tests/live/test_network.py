@@ -101,16 +101,10 @@ def test_two_publishers_of_a_topic_are_refused(node):
         check_one_publisher(reader)
 
 
-@pytest.mark.parametrize(
-    ("topics", "message"),
-    [
-        ((cmd_vel(TWIST), cmd_vel(TWIST_STAMPED)), "/cmd_vel: found 2 subscribers, allowed: one"),
-        (
-            (cmd_vel()._replace(type=ODOM.type),),
-            "/cmd_vel: found a subscriber of 'nav_msgs/msg/Odometry', allowed: geo",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("topics", "message"), [
+    ((cmd_vel(TWIST), cmd_vel(TWIST_STAMPED)), "/cmd_vel: found 2 subscribers, allowed: one"),
+    ((cmd_vel()._replace(type=ODOM.type),), "/cmd_vel: found a subscriber of 'nav_msgs/msg/Odometry', allowed: geo"),
+])  # fmt: skip
 def test_a_robot_that_cannot_be_driven_alone_is_refused(node, topics, message):
     for topic in topics:
         node.reader(topic)

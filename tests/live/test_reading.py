@@ -64,13 +64,8 @@ def test_a_command_is_speed_ahead_and_turn_rate_about_the_vertical_each_up_to_a_
     assert reader.command(*twist(stamped, 0.37, -0.62)) == Command(0.37, -0.62)
     assert reader.command(*twist(stamped, -99.5, 99.5)) == Command(-99.5, 99.5)
     for speed, turn_rate in (
-        (100.5, 0.3),
-        (-100.5, 0.3),
-        (0.3, 100.5),
-        (0.3, -100.5),
-        (math.nan, 0.3),
-        (0.3, math.nan),
-    ):
+        (100.5, 0.3), (-100.5, 0.3), (0.3, 100.5), (0.3, -100.5), (math.nan, 0.3), (0.3, math.nan),
+    ):  # fmt: skip
         with pytest.raises(ValueError, match=r"found a command of .*, allowed: up to 100"):
             reader.command(*twist(stamped, speed, turn_rate))
 
@@ -145,20 +140,12 @@ def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transf
             reader.odometry(data)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"angle_min": math.nan},
-        {"angle_increment": 0.0},
-        {"angle_increment": math.inf},
-        {"ranges": np.zeros(0, np.float32)},
-        {"ranges": np.zeros(1, np.float32)},
-        {"ranges": np.zeros(100_001, np.float32), "angle_increment": 1e-5},
-        {"header": MAKE.header(0, "laser")},
-        {"header": ill_stamped()},
-        {"header": MAKE.header(STAMP, "x" * 257)},
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    {"angle_min": math.nan}, {"angle_increment": 0.0}, {"angle_increment": math.inf},
+    {"ranges": np.zeros(0, np.float32)}, {"ranges": np.zeros(1, np.float32)},
+    {"ranges": np.zeros(100_001, np.float32), "angle_increment": 1e-5}, {"header": MAKE.header(0, "laser")},
+    {"header": ill_stamped()}, {"header": MAKE.header(STAMP, "x" * 257)},
+])  # fmt: skip
 def test_a_scan_with_numbers_that_are_not_allowed_is_named(changes):
     with pytest.raises(ValueError, match=r"found .*, allowed: "):
         laser().scan(scan_message(**changes))

@@ -53,12 +53,9 @@ def test_odometry_comes_back_to_the_nanosecond_and_its_heading_is_that_of_a_tilt
 @some
 @given(stamps_ns, poses, poses, tilts)
 def test_odometry_in_tf_is_the_last_transform_of_its_frames(stamp, pose, other, tilted):
-    links = [
-        MAKE.transform(at, parent, child, place).transforms[0]
-        for at, parent, child, place in (
-            (stamp - 1, "/wheels", "base", other), (stamp, "wheels", "base", pose), (stamp, "base", "wheels", other)
-        )
-    ]  # fmt: skip
+    links = [MAKE.transform(at, parent, child, place).transforms[0] for at, parent, child, place in (
+        (stamp - 1, "/wheels", "base", other), (stamp, "wheels", "base", pose), (stamp, "base", "wheels", other),
+    )]  # fmt: skip
     tilt(links[1].transform.rotation, turned(pose.theta, tilted))
     data = MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS)
     found = MessageReader(FramePair("wheels", "base")).odometry(data)

@@ -139,11 +139,9 @@ def test_scans_are_late_lost_and_doubled_in_their_shares():
     sent = [found for found in delays if found]
     late = np.array([found[0] for found in sent if found[0] > 0.0])
     for share, expected in (
-        (len(sent) / count, 0.8),
-        (sum(len(found) == 2 for found in sent) / len(sent), 0.1),
-        (len(late) / len(sent), 0.3),
-        (late.mean(), 0.25),
-    ):
+        (len(sent) / count, 0.8), (sum(len(found) == 2 for found in sent) / len(sent), 0.1),
+        (len(late) / len(sent), 0.3), (late.mean(), 0.25),
+    ):  # fmt: skip
         assert share == pytest.approx(expected, abs=0.02)
     assert 0.48 < late.max() <= 0.5
 
@@ -169,15 +167,11 @@ def test_a_drive_needs_the_places_of_its_task(task, name):
     check_drive(preset(task=task, **{name: places[name]}))
 
 
-@pytest.mark.parametrize(
-    ("network", "multicast", "peers"),
-    [
-        (Network(), False, ["127.0.0.1"]),
-        (Network(7, "127.0.0.2", ("127.0.0.3",)), False, ["127.0.0.3"]),
-        (Network(7, "192.168.1.7"), True, []),
-        (Network(7, "eth0", ("10.0.0.2", "10.0.0.3")), False, ["10.0.0.2", "10.0.0.3"]),
-    ],
-)
+@pytest.mark.parametrize(("network", "multicast", "peers"), [
+    (Network(), False, ["127.0.0.1"]), (Network(7, "127.0.0.2", ("127.0.0.3",)), False, ["127.0.0.3"]),
+    (Network(7, "192.168.1.7"), True, []),
+    (Network(7, "eth0", ("10.0.0.2", "10.0.0.3")), False, ["10.0.0.2", "10.0.0.3"]),
+])  # fmt: skip
 def test_a_network_is_found_by_multicast_unless_it_is_this_machine_or_has_peers(network, multicast, peers):
     root = ElementTree.fromstring(network.xml())
     general, discovery = root.find("Domain/General"), root.find("Domain/Discovery")
@@ -187,14 +181,11 @@ def test_a_network_is_found_by_multicast_unless_it_is_this_machine_or_has_peers(
     assert general.find("Interfaces/NetworkInterface").attrib == {key: network.interface}
 
 
-@pytest.mark.parametrize(
-    ("of", "said"),
-    [
-        ((233,), "--domain: found 233, allowed: 0 to 232"), ((-1,), "--domain: found -1"),
-        ((7, "a b"), "--interface: found 'a b'"), ((7, "eth0", ("host",)), "--peers: found 'host'"),
-        ((7, "lo", ("10.0.0.2",)), "--peers: found 10.0.0.2 with --interface lo"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("of", "said"), [
+    ((233,), "--domain: found 233, allowed: 0 to 232"), ((-1,), "--domain: found -1"),
+    ((7, "a b"), "--interface: found 'a b'"), ((7, "eth0", ("host",)), "--peers: found 'host'"),
+    ((7, "lo", ("10.0.0.2",)), "--peers: found 10.0.0.2 with --interface lo"),
+])  # fmt: skip
 def test_a_network_that_cannot_be_is_refused(of, said):
     with pytest.raises(NetworkError, match=said):
         Network(*of)

@@ -139,17 +139,13 @@ def test_a_folder_with_all_that_runs_and_their_reports_write_is_replaced(here: P
 
 
 FOREIGN = {
-    "a file": {"notes.txt": "mine"},
-    "a figure": {"figures/mine.png": "mine"},
-    "a figure of another form": {"figures/map.txt": "mine"},
-    "a figure elsewhere": {"map.png": "mine"},
-    "a second bag": {"bag/bag_1.mcap": "mine"},
-    "a folder": {"more/": ""},
-    "a folder named as a file": {"map.pgm/": ""},
+    "a file": {"notes.txt": "mine"}, "a figure": {"figures/mine.png": "mine"},
+    "a figure of another form": {"figures/map.txt": "mine"}, "a figure elsewhere": {"map.png": "mine"},
+    "a second bag": {"bag/bag_1.mcap": "mine"}, "a folder": {"more/": ""}, "a folder named as a file": {"map.pgm/": ""},
     "other settings": {"config.toml": "[net]\n"},
     "saved settings of no version": {"config.toml": "seed = 3\n[versions]\nsixthsense = 1\n"},
     "another record": {"record.jsonl": '{"a": 1}\n'},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", FOREIGN)
@@ -182,15 +178,10 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
     assert content(here) == before
 
 
-@pytest.mark.parametrize(
-    ("error", "has_record", "is_left"),
-    [
-        (ConfigError("bad"), False, False),
-        (ConfigError("bad"), True, True),
-        (KeyboardInterrupt(), False, False),
-        (RuntimeError("a bug"), False, True),
-    ],
-)
+@pytest.mark.parametrize(("error", "has_record", "is_left"), [
+    (ConfigError("bad"), False, False), (ConfigError("bad"), True, True), (KeyboardInterrupt(), False, False),
+    (RuntimeError("a bug"), False, True),
+])  # fmt: skip
 def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_the_evidence(
     error: BaseException, has_record: bool, is_left: bool, here: Path
 ) -> None:

@@ -37,10 +37,7 @@ def odom(stamp: float = 1.0, x: float = 0.0) -> str:
 
 
 def flaser(
-    stamp: float = 1.0,
-    ranges: Sequence[float] = (1.0, 2.0, 3.0, 81.83),
-    robot: Pose = PLACE,
-    mount: Pose = CENTRE,
+    stamp: float = 1.0, ranges: Sequence[float] = (1.0, 2.0, 3.0, 81.83), robot: Pose = PLACE, mount: Pose = CENTRE
 ) -> str:
     poses = f"{pose_text(robot @ mount)} {pose_text(robot)}"
     return f"FLASER {len(ranges)} {' '.join(f'{r:.2f}' for r in ranges)} {poses} {stamp} nohost {stamp}\n"
@@ -165,15 +162,12 @@ def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None
         assert "\n" not in str(caught.value) and str(file) in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("1 2 3 4 5 6 7 8\n1 2 3\n", "line 2: found 3 fields, allowed: 8"),
-        ("1 2 3 4 5 6 7 x\n", "line 1: found 'x', allowed: a number"),
-        ("1 2 nan 4 5 6 7 8\n", "line 1: found 'nan', allowed: a finite number"),
-        ("# nothing\n", "found no line of numbers"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("1 2 3 4 5 6 7 8\n1 2 3\n", "line 2: found 3 fields, allowed: 8"),
+    ("1 2 3 4 5 6 7 x\n", "line 1: found 'x', allowed: a number"),
+    ("1 2 nan 4 5 6 7 8\n", "line 1: found 'nan', allowed: a finite number"),
+    ("# nothing\n", "found no line of numbers"),
+])  # fmt: skip
 def test_a_bad_table_of_numbers_is_named(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(LogError) as caught:
         read_relations(written(tmp_path, text, "a.relations"))

@@ -229,16 +229,12 @@ def flaser(k: int, stamp: str) -> str:
     return f"FLASER 180 {ranges} {1.2 * k:.4f} 1.5 0.2 {1.2 * k:.4f} 1.5 0.2 {stamp} robot {stamp}\n"
 
 
-@pytest.mark.parametrize(
-    ("stamp", "said"),
-    [
-        (lambda t: f"{1134860123 + t:.3f}", ""),
-        (lambda t: f"{1134860123 + t:g}", "all 24 scans have the stamp 1134860000.000000"),
-        (lambda t: f"{1134863123 + 100 * t:g}", "22 of 24 scans have the stamp of the one before"),
-        (lambda t: "0", "all 24 scans have the stamp 0.000000"),
-        (lambda t: f"{t - 5:.3f}", "stamps begin at -5.000 s"),
-    ],
-)
+@pytest.mark.parametrize(("stamp", "said"), [
+    (lambda t: f"{1134860123 + t:.3f}", ""),
+    (lambda t: f"{1134860123 + t:g}", "all 24 scans have the stamp 1134860000.000000"),
+    (lambda t: f"{1134863123 + 100 * t:g}", "22 of 24 scans have the stamp of the one before"),
+    (lambda t: "0", "all 24 scans have the stamp 0.000000"), (lambda t: f"{t - 5:.3f}", "stamps begin at -5.000 s"),
+])  # fmt: skip
 def test_stamps_that_tell_no_time_leave_odometry_as_it_is(stamp, said, tmp_path):
     log = open_log(carmen(tmp_path / "a.log", lambda k: flaser(k, stamp(2.0 * k))))
     assert [tick.odometry.x for tick in log.ticks] == pytest.approx(1.2 * np.arange(24))

@@ -32,13 +32,9 @@ CELL_M = 0.1
 SQUARE = [[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]]
 SHAFT = [[[3, 3], [4.5, 3]], [[4.5, 3], [4.5, 4.5]], [[4.5, 4.5], [3, 4.5]]]
 MAP = {
-    "image": "m.png",
-    "resolution": "0.1",
-    "origin": "[0, 0, 0]",
-    "negate": "0",
-    "occupied_thresh": "0.65",
+    "image": "m.png", "resolution": "0.1", "origin": "[0, 0, 0]", "negate": "0", "occupied_thresh": "0.65",
     "free_thresh": "0.196",
-}
+}  # fmt: skip
 
 
 def write(folder: Path, name: str, text: str) -> Path:
@@ -90,20 +86,17 @@ def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
     assert load_scene(bare).region == (1.5, 2.5, 5.5, 4.5)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("start = [2.3, 3.4, 0.7]", "start = [2.3, 4.4, 0.7]", "start: found (2.3, 4.4), outside the region"),
-        ("tour = [[4.5, 3.6]", "tour = [[4.5, 4.35]", "tour, entry 1: found (4.5, 4.35), outside the region"),
-        ("goal = [4.5, 3.9]", "goal = [5.35, 3.9]", "goal: found (5.35, 3.9), 0.15 m from a wall"),
-        ("region = [1.6, 2.8, 5.4, 4.3]", "region = [1.6, 4.3, 5.4, 2.8]", "region: found [1.6, 4.3, 5.4, 2.8]"),
-        ("radius = 0.2", "radius = 0", "radius: found 0, allowed: a number above 0"),
-        ("radius = 0.2", "radius = 2e6", "radius: found 2000000.0, allowed: a number above 0"),
-        ("[1.5, 2.5, 5.5, 2.5]", "[1.5, 2e6, 5.5, 2.5]", "walls, entry 1: found [1.5, 2000000.0, 5.5, 2.5]"),
-        (ROOM, "[[polygons]]\npoints = [[1.5, 2.5], [5.5, 2.5]]\n", "polygons, entry 1, points: found 2, allowed"),
-        (ROOM, f"walls = {[[1.5, 2.5, 5.5, 2.5]] * 52_100}\n", "walls: found "),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("start = [2.3, 3.4, 0.7]", "start = [2.3, 4.4, 0.7]", "start: found (2.3, 4.4), outside the region"),
+    ("tour = [[4.5, 3.6]", "tour = [[4.5, 4.35]", "tour, entry 1: found (4.5, 4.35), outside the region"),
+    ("goal = [4.5, 3.9]", "goal = [5.35, 3.9]", "goal: found (5.35, 3.9), 0.15 m from a wall"),
+    ("region = [1.6, 2.8, 5.4, 4.3]", "region = [1.6, 4.3, 5.4, 2.8]", "region: found [1.6, 4.3, 5.4, 2.8]"),
+    ("radius = 0.2", "radius = 0", "radius: found 0, allowed: a number above 0"),
+    ("radius = 0.2", "radius = 2e6", "radius: found 2000000.0, allowed: a number above 0"),
+    ("[1.5, 2.5, 5.5, 2.5]", "[1.5, 2e6, 5.5, 2.5]", "walls, entry 1: found [1.5, 2000000.0, 5.5, 2.5]"),
+    (ROOM, "[[polygons]]\npoints = [[1.5, 2.5], [5.5, 2.5]]\n", "polygons, entry 1, points: found 2, allowed"),
+    (ROOM, f"walls = {[[1.5, 2.5, 5.5, 2.5]] * 52_100}\n", "walls: found "),
+])  # fmt: skip
 def test_a_scene_that_cannot_be_is_refused_by_its_field(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in GOOD + ROOM
     with pytest.raises(SceneError) as caught:
@@ -398,17 +391,14 @@ def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(
     assert mission_of(preset(task="goal", scene="rectangle"), load_scene(name))[1].goals.tolist() == [[4.5, 3.9]]
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"task": "explore", "goal": (3.5, 3.2)}, "goal: found (3.5, 3.2) with task explore"),
-        ({"task": "goal", "tour": ((3.5, 3.2),)}, "tour: found 1 goals with task goal"),
-        ({"task": "goal", "robot": {"radius": 0.7}}, "goal: found (4.5, 3.9), 0.6 m from a wall"),
-        ({"task": "goal", "region": (1.6, 2.8, 4.4, 4.3)}, "goal: found (4.5, 3.9), outside the region"),
-        ({"task": "explore", "start": (9.0, 3.0, 0.4), "laser": {"max_range": 3.4}}, "start: found (9, 3), outside th"),
-        ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("given", "said"), [
+    ({"task": "explore", "goal": (3.5, 3.2)}, "goal: found (3.5, 3.2) with task explore"),
+    ({"task": "goal", "tour": ((3.5, 3.2),)}, "tour: found 1 goals with task goal"),
+    ({"task": "goal", "robot": {"radius": 0.7}}, "goal: found (4.5, 3.9), 0.6 m from a wall"),
+    ({"task": "goal", "region": (1.6, 2.8, 4.4, 4.3)}, "goal: found (4.5, 3.9), outside the region"),
+    ({"task": "explore", "start": (9.0, 3.0, 0.4), "laser": {"max_range": 3.4}}, "start: found (9, 3), outside th"),
+    ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
+])  # fmt: skip
 def test_a_mission_that_cannot_be_is_refused_by_its_field(tmp_path: Path, given: dict, said: str) -> None:
     with pytest.raises(SceneError) as caught:
         mission_of(preset(scene=str(hall(tmp_path)), **given))

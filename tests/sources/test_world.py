@@ -171,11 +171,8 @@ def test_the_first_step_moves_nothing_and_commands_are_clipped_to_the_limits_of_
     first = world(config).step(Command(0.4, 0.5))
     assert first.truth == first.odometry == START and first.scan is not None
     for command, speed, rate in (
-        ((5.0, 0.0), 0.5, 0.0),
-        ((-5.0, 0.0), -0.5, 0.0),
-        ((0.0, -9.0), 0.0, -0.8),
-        ((0.0, 9.0), 0.0, 0.8),
-    ):
+        ((5.0, 0.0), 0.5, 0.0), ((-5.0, 0.0), -0.5, 0.0), ((0.0, -9.0), 0.0, -0.8), ((0.0, 9.0), 0.0, 0.8),
+    ):  # fmt: skip
         moved = START.inverse() @ driven(world(config), command)[-1].truth
         assert (moved.x, moved.theta) == (pytest.approx(speed * 0.02), pytest.approx(rate * 0.02))
 
