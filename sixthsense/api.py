@@ -126,8 +126,7 @@ def replay(
     Raises
     ------
     ConfigError, LogError, RecordError, PriorMapError
-        One line each: a field or value that is not allowed, for this kind of log; a log or relations that cannot be
-        read, with file and line; a prior map as of `ss.run`.
+        One line each: what is not allowed for this kind of log, and what cannot be read, with file and line.
 
     """
     from sixthsense.sources.replay_input import Chosen
