@@ -145,9 +145,6 @@ class ScansConfig(Section):
     """Returns farther away are not used."""
     loop_closures: bool = True
     """Off: scans are linked to recent ones alone, and no loop is closed."""
-    search_radius_m: Annotated[float, Range(0.0, 100.0)] = 15.0
-    """Old places up to this far from the estimate are searched for a loop closure, if its uncertainty allows them; 0:
-    only places that are certain are linked."""
     min_score: Annotated[float, Range(0.3, 1.0)] = 0.62
     """Least share of a submap's points that a loop closure must explain; lower finds more loop closures, and more wrong
     ones."""

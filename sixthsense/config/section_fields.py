@@ -179,7 +179,6 @@ class ScansFields(TypedDict, total=False):
 
     max_range_m: float
     loop_closures: bool
-    search_radius_m: float
     min_score: float
     final_pass: bool
 

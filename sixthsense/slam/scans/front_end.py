@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sixthsense.config import Config
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.se2 import between, compose, composed_covariance, turned_covariance
@@ -25,9 +25,9 @@ from sixthsense.slam.scans.loop_closures import LoopClosures
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import informations_in_world, prior_of, weakened
 from sixthsense.slam.scans.returns import ScanStore
-from sixthsense.slam.scans.tracking import NEAREST, SLIP_M, SLIP_RAD, SLIP_SIGMAS, Tracked, refine, search, track
+from sixthsense.slam.scans.tracking import NEAREST, SLIP_M, SLIP_RAD, SLIP_SIGMAS, Tracked, Usual, refine, search, track
+from sixthsense.slam.scans.wheel_noise import WheelNoise
 
-_NEWEST_SHARE = 0.02  # of the newest scan in what is usual
 _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
 
 
@@ -67,14 +67,15 @@ class ScanFrontEnd:
         """of the robot at the last keyframe"""
         self._since = STANDSTILL
         """odometry of the robot since the last keyframe"""
+        self._noise = WheelNoise()
         self._prior: Prior | None = None
         """of the last scan; None before the second"""
         self._last: _Last | None = None
         self._is_carried = False
         """whether the robot was carried since the last scan: what it saw before tells nothing of where it is"""
         self._scans: list[TrackedScan] = []
-        self._contradicted = 0.0
-        """share of returns that contradict which scans have lately had"""
+        self._usual = Usual(0.0, 0.5)
+        """what scans lately had"""
 
     @property
     def pose(self) -> Pose:
@@ -101,11 +102,13 @@ class ScanFrontEnd:
         with self._clock("track"):
             tracked = self._tracked(scan)
         found = self._motion_source.aligned(self._since, self._found(tracked))
-        if tracked is not None and not is_due(self._motion_since, self._since, self._config.keyframes):
+        if not self._is_due():
             self._since = found
             self._keep(scan)
             return None
-        motion = self._since if tracked is None else self._motion(tracked)
+        motion = self._motion(tracked)
+        if tracked is not None:
+            self._learn_noise(tracked)
         with self._clock("predict"):
             self._estimator.predict(motion)
         predicted = self._estimator.estimate()
@@ -175,17 +178,17 @@ class ScanFrontEnd:
         # By odometry; moving as before, where wheels are wrong; and standing, where they spin.
         motions = (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
-        tracked = track(self._views(row, self._references()), prior, starts, self._contradicted)
+        tracked = track(self._views(row, self._references()), prior, starts, self._usual)
         is_guess = self._motion_source.is_guess
-        if tracked.is_lost(self._contradicted) or (is_guess and tracked.is_doubted(self._contradicted)):
-            found = search(self._views(row, self.loop_closures.of_last_metres(self.newest)), prior, self._contradicted)
-            tracked = found if tracked.is_lost(self._contradicted) or not found.has_slipped else tracked
-            if tracked.is_lost(self._contradicted):
-                self._break_track()
+        if tracked.is_lost(self._usual) or (is_guess and tracked.is_doubted(self._usual)):
+            found = search(self._views(row, self.loop_closures.of_last_metres(self.newest)), prior, self._usual)
+            tracked = max(tracked, found, key=lambda each: each.log_odds(self._usual))
+            if tracked.is_lost(self._usual):
+                self._last = _Last(starts[0], self._since.motion, step)
                 return None
         tracked = tracked.remapped(prior) if is_guess else tracked
-        self._contradicted += _NEWEST_SHARE * (tracked.agreement.share - self._contradicted)
-        self._graph.usual_agreement = 1.0 - self._contradicted
+        self._usual = self._usual.with_scan(tracked)
+        self._graph.usual_agreement = 1.0 - self._usual.contradicted
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
@@ -202,27 +205,36 @@ class ScanFrontEnd:
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
         return Views(self._store.returns, row, targets, self._graph.poses[targets])
 
-    def _break_track(self) -> None:
-        """Go on by odometry, with the covariance of a motion that it has missed: no pose agrees with the last scans."""
-        self._since = self._slipped(self._since.motion)
-        self._prior = prior_of(self._graph.poses[-1], self._since_of_laser())
-        self._is_carried = True
-
     def _slipped(self, motion: Pose) -> Odometry:
         """A motion since the last keyframe with the covariance of a slip."""
         return Odometry(motion, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
 
-    def _motion(self, tracked: Tracked) -> Odometry:
+    def _motion(self, tracked: Tracked | None) -> Odometry:
         """The motion since the last keyframe: by odometry, or as tracked with the covariance of a slip.
 
         Where the scans say that the wheels have slipped, what the wheels say is no evidence. The links tell the rest.
         """
+        if self._is_carried or not self._store.count:
+            return self._since
+        if tracked is None:
+            return self._noise.applied(self._motion_source.for_estimator(self._since))
         if tracked.has_slipped:
             return self._slipped(self._motion_since)
-        return weakened(self._motion_source.for_estimator(self._since), tracked.slip)
+        motion = self._noise.applied(self._motion_source.for_estimator(self._since))
+        return weakened(motion, tracked.slip)
 
     def _since_of_laser(self) -> Odometry:
-        return self._mount.laser_odometry(self._motion_source.for_tracking(self._since))
+        return self._mount.laser_odometry(self._noise.applied(self._motion_source.for_tracking(self._since)))
+
+    def _learn_noise(self, tracked: Tracked) -> None:
+        """Take in what the newest scan says of the wheels."""
+        if self._motion_source.is_guess or self._prior is None:
+            return
+        heading = -float(self._graph.poses[-1, 2])
+        left = np.linalg.inv(self._prior.information + tracked.information)
+        off = np.append(rotation(heading) @ tracked.off[:2], tracked.off[2])
+        stated = self._mount.laser_odometry(self._motion_source.for_tracking(self._since)).cov
+        self._noise.measured(stated, off, turned_covariance(np.asarray(left), heading))
 
     def _references(self) -> NDArray[np.int64]:
         """Keyframes to track against."""
@@ -230,16 +242,22 @@ class ScanFrontEnd:
         recent = np.arange(max(self._graph.first, newest - _RECENT), newest)
         return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
 
+    def _is_due(self) -> bool:
+        """Whether the newest scan is far enough from the last keyframe."""
+        is_new = self._is_carried or not self._store.count
+        return is_new or is_due(self._motion_since, self._since, self._config.keyframes)
+
     def _updated(self, tracked: Tracked | None) -> int:
         """Keep the newest scan as keyframe, and add its pose; its index."""
         self._estimator.update({})
         key = self._store.keep()
         guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
-        if self._is_carried:
-            self._graph.first, self._is_carried = key, False
+        is_carried, self._is_carried = self._is_carried, False
+        if is_carried:
+            self._graph.first = key
         self._graph.add(guess, self._mount)
         if self._prior is not None:
-            self.loop_closures.moved(key, tracked, self._prior.information)
+            self.loop_closures.moved(key, tracked, self._prior.information, float(self._noise.factors[0]), is_carried)
         return key
 
     def _closed_loops(self, key: int) -> None:

@@ -36,7 +36,7 @@ class LoopClosures:
     """Finds old places, and links keyframes to them."""
 
     def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
-        self._config, self._graph = config, graph
+        self._graph = graph
         self.closings = Closings(graph)
         self._thinning = Thinning(graph, self.closings)
         self._search = PlaceSearch(config, graph)
@@ -61,27 +61,37 @@ class LoopClosures:
         """The keyframes up to `key` of the last metres, since the track last broke."""
         return of_last_metres(self._travelled, key)
 
-    def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
-        """Add a keyframe after the first; `odometry_information` (3, 3) is the prior's, world axes."""
+    def moved(
+        self, key: int, tracked: Tracked | None, odometry_information: Array, wheels: float, is_carried: bool
+    ) -> None:
+        """Add a keyframe after the first; `odometry_information` (3, 3) is the prior's, world axes.
+
+        `tracked` is None where its scan tells nothing, also where the robot was carried to it; `wheels` is the factor
+        of their errors of position on those of wheels in general.
+        """
         if key == len(self._travelled):
             self._travelled = np.concatenate([self._travelled, np.zeros_like(self._travelled)])
-        if tracked is None:
+        if is_carried:
             self._carried(key, np.asarray(np.linalg.inv(odometry_information), dtype=np.float64))
             return
         step = between(self._graph.poses[key - 1], self._graph.poses[key])
         travel = math.hypot(step[0], step[1]) + M_PER_RAD * abs(step[2])
         self._travelled[key] = self._travelled[key - 1] + travel
-        values, axes = np.linalg.eigh(tracked.information)
-        cov = np.linalg.inv((axes * np.maximum(values, 0.0)) @ axes.T + odometry_information)
-        position = float(np.linalg.eigvalsh(cov[:2, :2])[-1]) + _DRIFT_M**2 * travel
-        heading = float(cov[2, 2]) + _DRIFT_RAD**2 * travel
+        told = np.zeros((3, 3))
+        if tracked is not None:
+            values, axes = np.linalg.eigh(tracked.information)
+            told = (axes * np.maximum(values, 0.0)) @ axes.T
+        # The scans' own error is a drift of what they are aligned with, too, which the wheels may bound.
+        drift = travel * np.diag([_DRIFT_M, _DRIFT_M, _DRIFT_RAD]) ** 2
+        cov = np.linalg.inv(told @ np.linalg.inv(np.eye(3) + drift @ told) + odometry_information)
+        position, heading = float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2])
         weakest = np.linalg.eigh(cov[:2, :2])[1][:, -1]
         # The share of the wheels in what is known along the direction that is known least: 1 in a bare corridor.
         by_wheels = float(weakest @ odometry_information[:2, :2] @ weakest) * float(weakest @ cov[:2, :2] @ weakest)
-        if tracked.has_slipped:
+        if tracked is not None and tracked.has_slipped:
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
-        bias_m = WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
+        bias_m = wheels * WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
         self._graph.uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
 
     def _carried(self, key: int, cov: Array) -> None:
@@ -104,7 +114,7 @@ class LoopClosures:
         is_certain = (sigma_m < _CERTAIN_M) & (sigma_rad < _CERTAIN_RAD)
         certain = self._graph.nearest(key, old[is_certain[old]])
         self.closings.link_old(key, np.setdiff1d(certain, self._graph.linked_old(key)))
-        if self._config.search_radius_m > 0.0 and self._travelled[key] >= self._search_from_m:
+        if self._travelled[key] >= self._search_from_m:
             self._search_uncertain(key, old[~is_certain[old]], sigma_m, sigma_rad)
 
     def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:

@@ -1,10 +1,12 @@
 """Search of a scan's place: among earlier passes, or in a map.
 
-What was seen on the last metres is searched by branch and bound. Visibility judges the places that are found.
+Earlier places are proposed by what they look like, and by how likely the robot is near them; what was seen on the last
+metres is searched for there by branch and bound. Visibility judges the places that are found.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,20 +16,31 @@ from numpy.typing import NDArray
 from sixthsense.config.pipeline import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
+from sixthsense.slam.scans.appearance import appearance
 from sixthsense.slam.scans.evidence import BACK_M, OldPass, PlacedScans, Surroundings, evidence_of, followed_back
 from sixthsense.slam.scans.graph import REACH_M, ScanGraph
-from sixthsense.slam.scans.places import PLACE, VOXEL_M, Pyramid, Window, peaks, pyramid, submap_points
+from sixthsense.slam.scans.places import (
+    NEAR_M,
+    PLACE,
+    VOXEL_M,
+    Pyramid,
+    Window,
+    peaks,
+    pyramid,
+    submap_points,
+    surfaces,
+)
 
 _RECENT_M = 6.0  # travel of the submap that is searched for
-_RECENT_VOXEL_M = 0.2  # of these points; those of old submaps are denser
+_RECENT_VOXEL_M = 0.2  # of these points, and of what places look like; those of old submaps are denser
 LEAST_POINTS = 60
 """without as many points of the last metres there is no search"""
 MOST_POINTS = 200
 _ANCHORS_APART_M, _HALF_M = 3.0, 5.0  # travel between the anchors of old submaps, and along each of them to either side
 _CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
-SIGMAS = 2.0  # of the window that is searched
+SIGMAS = 2.0  # of a pose within a submap
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
-_MOST_RAD = 0.6
+_FREEDOM = 4.0  # degrees of freedom of Student's distribution of a distance: sigmas may be wrong
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
@@ -117,84 +130,123 @@ def of_last_metres(travelled_m: Array, key: int) -> NDArray[np.int64]:
     return np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - _RECENT_M)
 
 
-def recent_points(scans: PlacedScans, key: int, travelled_m: Array) -> Array:
-    """(N, 2) points of the scans of the last metres, in the frame of the newest, `key`; `travelled_m` (K,) at each."""
+def recent_surfaces(scans: PlacedScans, key: int, travelled_m: Array) -> tuple[Array, float]:
+    """(N, 4) surfaces of the scans of the last metres, in the frame of the newest, `key`, and how far they are at most.
+
+    `travelled_m` (K,) is at each keyframe. Where there is too little nearby, all that is seen counts.
+    """
     keys = of_last_metres(travelled_m, key)
-    points = submap_points(scans.store.returns, keys, between(scans.poses[key], scans.poses[keys]), _RECENT_VOXEL_M)
-    if len(points) > MOST_POINTS:
-        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
-    return points
+    return _surfaces(scans, keys, between(scans.poses[key], scans.poses[keys]), _RECENT_VOXEL_M)
+
+
+def _surfaces(scans: PlacedScans, keys: NDArray[np.int64], at: Array, voxel_m: float) -> tuple[Array, float]:
+    near = surfaces(scans.store.returns, keys, at, voxel_m)
+    if len(near) >= LEAST_POINTS:
+        return near, NEAR_M
+    return surfaces(scans.store.returns, keys, at, voxel_m, math.inf), math.inf
+
+
+def recent_points(scans: PlacedScans, key: int, travelled_m: Array) -> Array:
+    """(N, 2) of `recent_surfaces`, thinned."""
+    return thinned(recent_surfaces(scans, key, travelled_m)[0])
+
+
+def thinned(found: Array) -> Array:
+    """(N, 2) points of surfaces (M, 4), as many as are searched for."""
+    rows = np.linspace(0, len(found) - 1, min(len(found), MOST_POINTS)).astype(np.int64)
+    return np.ascontiguousarray(found[rows, :2])
 
 
 class PlaceSearch:
-    """Keeps submaps of earlier passes, and searches them."""
+    """Keeps what earlier places look like, and searches for the newest scan in submaps around the likeliest of them."""
 
     def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
         self._config, self._graph = config, graph
-        self._submaps: dict[int, Pyramid] = {}
-        """of the anchors of submaps that are complete"""
+        self._anchors: list[int] = []
+        """keyframes, one in some metres of travel; of each the submap around it is complete"""
+        self._looks: list[Array] = []
+        """what the places around the anchors look like"""
+        self._next_m = 0.0
+        """travel at which the next anchor is"""
+        self._submaps: dict[tuple[int, float], Pyramid] = {}
+        """of the anchors of the last look, with what their points were limited to"""
 
     def forget(self) -> None:
         """Draw submaps anew: the keyframes have moved."""
         self._submaps.clear()
 
     def best(
-        self,
-        key: int,
-        old: NDArray[np.int64],
-        sigma_m: Array,
-        sigma_rad: Array,
-        travelled_m: Array,
+        self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array, travelled_m: Array
     ) -> Hypothesis | None:
         """The best pose of keyframe `key` among the uncertain keyframes `old`; None if none is good enough.
 
         `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all keyframes.
         """
-        anchors = self._anchors(key, old, sigma_m, travelled_m)
-        points = recent_points(self._graph, key, travelled_m) if len(anchors) else np.zeros((0, 2))
-        if len(points) < LEAST_POINTS:
+        self._describe(int(old[-1]) + 1 if len(old) else 0, travelled_m)
+        found, range_m = recent_surfaces(self._graph, key, travelled_m)
+        if len(found) < LEAST_POINTS:
             return None
-        looks = [self._look(key, anchor, old, (sigma_m, sigma_rad), travelled_m) for anchor in anchors]
-        return best_place(self._graph, followed_back(travelled_m, key), points, looks, self._config.min_score)
+        looks, submaps, self._submaps = [], self._submaps, {}
+        for anchor in self._likeliest(key, old, sigma_m, appearance(found)):
+            window = self._window(key, anchor, float(sigma_m[anchor]), float(sigma_rad[anchor]))
+            if window is not None:
+                around = old[np.abs(travelled_m[old] - travelled_m[anchor]) < _HALF_M + BACK_M + REACH_M]
+                place = anchor, range_m
+                cells = submaps.get(place) or self._submap(anchor, old, travelled_m, range_m)
+                self._submaps[place] = cells
+                looks.append(Look(cells, window, self._graph.poses[anchor], OldPass(self._graph, around)))
+        self._submaps = {
+            place: cells for place, cells in self._submaps.items() if any(cells is look.cells for look in looks)
+        }
+        back = followed_back(travelled_m, key)
+        return best_place(self._graph, back, thinned(found), looks, self._config.min_score)
 
-    def _look(
-        self, key: int, anchor: int, old: NDArray[np.int64], sigmas: tuple[Array, Array], travelled_m: Array
-    ) -> Look:
-        """The submap around an anchor, and where in it the keyframe may be; `sigmas` are of position and heading."""
-        half_m = min(SIGMAS * float(sigmas[0][anchor]) + _MARGIN_M, self._config.search_radius_m)
-        half_rad = min(SIGMAS * float(sigmas[1][anchor]) + _MARGIN_RAD, _MOST_RAD)
-        frame = self._graph.poses[anchor]
-        window = Window(between(frame, self._graph.poses[key]), half_m, half_rad)
-        around = old[np.abs(travelled_m[old] - travelled_m[anchor]) < _HALF_M + BACK_M + REACH_M]
-        cells = self._submap(anchor, travelled_m, int(old[-1]) + 1)
-        return Look(cells, window, frame, OldPass(self._graph, around))
+    def _describe(self, past: int, travelled_m: Array) -> None:
+        """Keep what places look like whose submaps are complete without keyframes from `past` on."""
+        while past:
+            anchor = int(np.searchsorted(travelled_m[:past], self._next_m))
+            if anchor == past or travelled_m[anchor] + _HALF_M >= travelled_m[past]:
+                return
+            keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < _HALF_M)
+            at = between(self._graph.poses[anchor], self._graph.poses[keys])
+            self._anchors.append(anchor)
+            self._looks.append(appearance(_surfaces(self._graph, keys, at, _RECENT_VOXEL_M)[0]))
+            self._next_m = float(travelled_m[anchor]) + _ANCHORS_APART_M
 
-    def _anchors(self, key: int, old: NDArray[np.int64], sigma_m: Array, travelled_m: Array) -> list[int]:
-        """Anchors of old submaps that the keyframe may be in, the likeliest first."""
-        number = np.floor(travelled_m / _ANCHORS_APART_M)
-        firsts = np.flatnonzero(np.diff(number, prepend=-1.0) > 0)
-        anchors = firsts[np.isin(firsts, old)]
+    def _likeliest(self, key: int, old: NDArray[np.int64], sigma_m: Array, look: Array) -> list[int]:
+        """Anchors of places that look most like `look` (BINS,) does, and that the keyframe is likely near."""
+        rows = np.flatnonzero(np.isin(self._anchors, old))
+        if not len(rows):
+            return []
+        anchors = np.array(self._anchors)[rows]
+        alike = np.array([self._looks[k] for k in rows.tolist()]) @ look
         off = self._graph.poses[anchors, :2] - self._graph.poses[key, :2]
-        distance, sigma = np.hypot(off[:, 0], off[:, 1]), sigma_m[anchors]
-        reach = np.minimum(SIGMAS * sigma, self._config.search_radius_m) + REACH_M
-        possible = np.flatnonzero(distance < reach)
-        order = possible[np.argsort(distance[possible] / np.maximum(sigma[possible], 0.5), kind="stable")]
+        square = (off**2).sum(axis=1) / (sigma_m[anchors] ** 2 + REACH_M**2)
+        score = (alike - alike.mean()) / max(float(alike.std()), 1e-3)
+        score -= 0.5 * (_FREEDOM + 2.0) * np.log1p(square / _FREEDOM)
         chosen: list[int] = []
-        for anchor in anchors[order].tolist():
+        for anchor in anchors[np.argsort(-score, kind="stable")].tolist():
             gap = self._graph.poses[chosen, :2] - self._graph.poses[anchor, :2]
             if len(chosen) < _CANDIDATES and (np.hypot(gap[:, 0], gap[:, 1]) > _CANDIDATES_APART_M).all():
                 chosen.append(anchor)
         return chosen
 
-    def _submap(self, anchor: int, travelled_m: Array, past: int) -> Pyramid:
-        """The submap around an anchor, of one pass, without keyframes from `past` on."""
-        if (known := self._submaps.get(anchor)) is not None:
-            return known
-        keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < _HALF_M)
-        is_whole, keys = bool(keys[-1] < past), keys[keys < past]
+    def _window(self, key: int, anchor: int, sigma_m: float, sigma_rad: float) -> Window | None:
+        """Where in the submap around an anchor the keyframe may be; None if it is nowhere there."""
+        middle = between(self._graph.poses[anchor], self._graph.poses[key])
+        half_m = SIGMAS * sigma_m + _MARGIN_M
+        low, high = np.maximum(middle[:2] - half_m, -_HALF_M), np.minimum(middle[:2] + half_m, _HALF_M)
+        if (low > high).any():
+            return None
+        half_rad = min(SIGMAS * sigma_rad + _MARGIN_RAD, math.pi)
+        return Window(np.array([*(0.5 * (low + high)), middle[2]]), 0.5 * float((high - low).max()), half_rad)
+
+    def _submap(self, anchor: int, old: NDArray[np.int64], travelled_m: Array, range_m: float) -> Pyramid:
+        """The submap around an anchor, of one pass: what can be seen on the last metres to any of its poses.
+
+        A robot that comes the other way sees what lay behind it.
+        """
         poses = self._graph.poses
-        points = submap_points(self._graph.store.returns, keys, between(poses[anchor], poses[keys]), VOXEL_M)
-        cells = pyramid(points)
-        if is_whole:
-            self._submaps[anchor] = cells
-        return cells
+        keys = np.flatnonzero(np.abs(travelled_m[: old[-1] + 1] - travelled_m[anchor]) < _HALF_M + _RECENT_M)
+        at = between(poses[anchor], poses[keys])
+        return pyramid(submap_points(self._graph.store.returns, keys, at, VOXEL_M, range_m))

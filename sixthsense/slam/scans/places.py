@@ -21,9 +21,10 @@ CELL_M = 0.1
 VOXEL_M = 0.05  # of the points that a submap is made of
 BLOCK = 4  # cells along the side of a block
 PEAK = 17  # of a cell with a point; sums of some thousand points fit into 16 bits
-_RANGE_M = 12.0  # farther returns are few and their place depends on the heading
+NEAR_M = 12.0
+"""farther returns are few, and their place depends on the heading"""
 _SIDE, _CORNER = 10, 6  # of the cells beside one with a point
-_HALF_CELLS = 600  # of the square in which each voxel is taken once
+_HALF_CELLS = 1000  # of the square in which each voxel is taken once: 50 m of voxels of 0.05 m to either side
 
 
 class Pyramid(NamedTuple):
@@ -38,9 +39,16 @@ class Pyramid(NamedTuple):
     y0: float
 
 
-def submap_points(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float) -> Array:
-    """(N, 2) points of keyframes in the frame of their poses `at` (n, 3), one per voxel."""
-    return np.asarray(_gathered(returns, keys, np.ascontiguousarray(at), voxel_m))
+def submap_points(
+    returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float, range_m: float = NEAR_M
+) -> Array:
+    """(N, 2) points of keyframes in the frame of their poses `at` (n, 3), one per voxel, of returns within a range."""
+    return np.ascontiguousarray(surfaces(returns, keys, at, voxel_m, range_m)[:, :2])
+
+
+def surfaces(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float, range_m: float = NEAR_M) -> Array:
+    """(N, 4) as `submap_points`, with the normal of each point, (0, 0) where there is none."""
+    return np.asarray(_gathered(returns, keys, np.ascontiguousarray(at), voxel_m, range_m))
 
 
 def pyramid(points: Array) -> Pyramid:
@@ -56,21 +64,22 @@ def pyramid(points: Array) -> Pyramid:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: float) -> Array:
+def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: float, range_m: float) -> Array:
     seen = np.zeros((2 * _HALF_CELLS, 2 * _HALF_CELLS), np.bool_)
-    out, n = np.empty((len(keys) * returns.points.shape[1], 2)), 0
+    out, n = np.empty((len(keys) * returns.points.shape[1], 4)), 0
     for k in range(len(keys)):
         c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
         for i in range(bearings_at(returns, keys[k]).beams):
             px, py, r = returns.points[keys[k], i, 0], returns.points[keys[k], i, 1], returns.points[keys[k], i, 2]
-            if r == 0.0 or r > _RANGE_M:
+            if r == 0.0 or r > range_m:
                 continue
             x, y = poses[k, 0] + c * px - s * py, poses[k, 1] + s * px + c * py
             column, row = int(np.floor(x / voxel_m)) + _HALF_CELLS, int(np.floor(y / voxel_m)) + _HALF_CELLS
             if not (0 <= column < 2 * _HALF_CELLS and 0 <= row < 2 * _HALF_CELLS) or seen[column, row]:
                 continue
             seen[column, row] = True
-            out[n, 0], out[n, 1] = x, y
+            nx, ny = returns.normals[keys[k], i, 0], returns.normals[keys[k], i, 1]
+            out[n, 0], out[n, 1], out[n, 2], out[n, 3] = x, y, c * nx - s * ny, s * nx + c * ny
             n += 1
     return out[:n].copy()
 
