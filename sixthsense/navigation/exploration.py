@@ -63,7 +63,7 @@ class Exploration:
         self._map = self._driving_map(grid, estimate)
         self._view.moved(pose.position)
         self.driver.update_map(self._map, pose)
-        self._history.add(pose, estimate.pose_cov)
+        self._history.add(pose, estimate.pose_cov, self._view.sees_walls(pose.position, self._sensor.reach))
         if self.state == "viewing":
             self._go_on(grid, pose)
         elif self.state == "closing a loop" and self._history.is_certain:
@@ -182,16 +182,17 @@ class Exploration:
         self._choose_view(pose)
 
     def _close_loop(self, pose: Pose) -> bool:
-        """Head for the nearest place where the pose was certain; whether one can be reached."""
+        """Head for the nearest place to which a return is worth its way; whether there is one."""
         self._history.postpone_loop_closure()
         places, view = self._history.well_known_places(), self._view
         view.draw_views(self._here(pose))
-        cells = np.array([view.cell(place) for place in places], dtype=np.int64).reshape(-1, 2)
+        cells = np.array([view.cell(place[:2]) for place in places], dtype=np.int64).reshape(-1, 2)
         lengths = view.tile_ways.lengths(self._here(pose), cells)
+        lengths[~self._history.are_worth_it(places, view.cell_m * lengths)] = np.inf
         if not np.isfinite(lengths).any():
             return False
         self.state, self._target, self._turning, self._has_seen_more = "closing a loop", NO_TARGET, False, False
-        self.driver.head_for(places[int(np.argmin(lengths))], pose)
+        self.driver.head_for(places[int(np.argmin(lengths)), :2], pose)
         return True
 
     def _look_for_a_way_home(self, pose: Pose) -> None:

@@ -39,6 +39,46 @@ def close_gaps(obstacles: Bools) -> Bools:
     return _eroded(dilated(np.pad(obstacles, 2)))[2:-2, 2:-2]
 
 
+@numba.njit(cache=True, error_model="numpy")
+def close_unseen_gaps(obstacles: Bools, seen: Bools, most: int) -> Bools:
+    """`obstacles` and the cells of gaps in walls that are up to `most` cells wide and into which no beam has fallen.
+
+    Unseen cells alone lead from one obstacle to another, along a row, a column or a diagonal; of a wall at an angle to
+    that, both may be beside. Beams that meet a wall far off, or at a grazing angle, leave such gaps, and a robot that
+    is as wide finds no way there.
+    """
+    height, width = obstacles.shape
+    closed = obstacles.copy()
+    for row in range(height):
+        for col in range(width):
+            if not obstacles[row, col]:
+                continue
+            for d_row, d_col in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                for beside in (-1, 0, 1):
+                    r, c = row + d_row + beside * d_col, col + d_col - beside * d_row
+                    gap, is_gap = 0, False
+                    while gap <= most and 0 <= r < height and 0 <= c < width:
+                        is_gap = obstacles[r, c] or _has_beside(obstacles, r, c, d_row, d_col)
+                        if is_gap or seen[r, c]:
+                            break
+                        r, c, gap = r + d_row, c + d_col, gap + 1
+                    if is_gap and gap <= most:
+                        for k in range(gap):
+                            closed[r - (k + 1) * d_row, c - (k + 1) * d_col] = True
+    return closed
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _has_beside(mask: Bools, row: int, col: int, d_row: int, d_col: int) -> bool:
+    """Whether a cell beside one, across a direction, is of `mask`."""
+    height, width = mask.shape
+    for side in (1, -1):
+        r, c = row + side * d_col, col - side * d_row
+        if 0 <= r < height and 0 <= c < width and mask[r, c]:
+            return True
+    return False
+
+
 def dilated(mask: Bools) -> Bools:
     """`mask` and the eight neighbours of its cells."""
     wide = mask.copy()

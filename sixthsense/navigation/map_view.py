@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.exploration_task import AreaToSee, Counts, Region
-from sixthsense.navigation.frontier import close_gaps, dilated
+from sixthsense.navigation.frontier import close_gaps, close_unseen_gaps, dilated
 from sixthsense.navigation.gridsearch import Reached, far_from
 from sixthsense.navigation.gridsearch.reached import SQUARE, TILE
 from sixthsense.navigation.guard import sees_beside
@@ -41,7 +41,7 @@ class MapView:
     free: Bools
     """seen, and no obstacle"""
     obstacles: Bools
-    """with closed walls: gaps of two cells, and what grazing beams have erased"""
+    """with closed walls: gaps of two cells, unseen ones up to the robot's width, and what grazing beams have erased"""
     opaque: Bools
     """obstacles and the cells near them: a line of sight that keeps off them passes no hole in a wall"""
     wanted: Bools
@@ -77,7 +77,8 @@ class MapView:
         self._unknown_reach = round(_UNKNOWN_M / cell_m)
         self._sight_margin = round(0.5 * self.radius)  # that lines of sight keep off obstacles
         inflation = math.ceil((radius_m + config.grid.clearance_m) / cell_m) + 1
-        closing = 2  # cells; how far a closing by 3 x 3 cells carries a change
+        self._width = math.floor(2.0 * self.radius)
+        closing = 2 + self._width  # cells; how far a closing by 3 x 3 cells, and then of gaps, carries a change
         self._spread = max(inflation, self._unknown_reach, self._sight_margin + closing, self._area.narrow_outside)
         self._revision: Revision | None = None
         self._due = _NOWHERE  # where views are to be drawn again
@@ -201,6 +202,12 @@ class MapView:
         self.redraw(self.frame)
         self._due = self.frame
 
+    def sees_walls(self, position: Array, reach: float) -> bool:
+        """Whether an obstacle lies within a reach, in cells, of a (2,) position."""
+        centre = box_of(np.floor(position[None, ::-1] / self.cell_m).astype(np.int64))
+        rows, cols = np.nonzero(self.grid.part("obstacles", centre.grown(math.ceil(reach))))
+        return bool((np.hypot(rows - math.ceil(reach), cols - math.ceil(reach)) <= reach).any())
+
     def moved(self, position: Array) -> None:
         """Take in where the robot is, (2,)."""
         cells = track_cells(np.array([position if self._last is None else self._last, position]), self.cell_m)
@@ -276,7 +283,7 @@ class MapView:
         own = slice(spread_by, spread_by + rows.stop - rows.start), slice(spread_by, spread_by + cols.stop - cols.start)
         seen, hits, passes = (self.grid.part(name, outer) for name in ("seen", "hits", "passes"))
         wall = (hits >= _WALL_HITS) & (passes <= _WALL_PASSES * hits)
-        opaque = closed = close_gaps(self.grid.part("obstacles", outer) | wall)
+        opaque = closed = close_unseen_gaps(close_gaps(self.grid.part("obstacles", outer) | wall), seen, self._width)
         for _ in range(self._sight_margin):
             opaque = dilated(opaque)
         unknown = ~(seen | closed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import ExploreConfig
 from sixthsense.core.geometry import Array, Pose
@@ -15,7 +16,7 @@ _MOST_LOOP_CLOSURE = 4.0  # times `loop_closure_sigma_m`: the most that a loop c
 
 
 class PoseHistory:
-    """Positions at the keyframes and their largest standard deviations."""
+    """Positions at the keyframes and the largest standard deviations of those to which a return may help."""
 
     def __init__(self, explore: ExploreConfig) -> None:
         """Begin with no position; `explore` sets the threshold of a loop closure."""
@@ -24,17 +25,18 @@ class PoseHistory:
         self._explore = explore
         self._loop_closure_threshold_m = explore.loop_closure_sigma_m
         self._much_less_m = math.inf
-        self._rows: list[tuple[float, float, float]] = []
+        self._way_m = 0.0
+        self._rows: list[tuple[float, float, float, float]] = []  # x, y, sigma, and the way driven until there
 
-    def add(self, pose: Pose, pose_cov: Array) -> None:
-        """Append the pose of a keyframe, with its covariance (3, 3)."""
+    def add(self, pose: Pose, pose_cov: Array, sees_walls: bool) -> None:
+        """Append the pose of a keyframe, with its covariance (3, 3), and whether any obstacle was within reach there.
+
+        Where there was none, a robot that comes back finds nothing that it knows.
+        """
         self.sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(pose_cov[:2, :2])[-1]), 0.0))
-        self._rows.append((pose.x, pose.y, self.sigma_m))
-
-    @property
-    def positions(self) -> Array:
-        """(N, 2) all positions, world frame, metres."""
-        return np.array([row[:2] for row in self._rows])
+        if self._rows:
+            self._way_m += math.dist(self._rows[-1][:2], (pose.x, pose.y))
+        self._rows.append((pose.x, pose.y, self.sigma_m if sees_walls else math.inf, self._way_m))
 
     @property
     def is_certain(self) -> bool:
@@ -60,6 +62,19 @@ class PoseHistory:
         self._loop_closure_threshold_m = min(self._much_less_m, _MOST_LOOP_CLOSURE * self._explore.loop_closure_sigma_m)
 
     def well_known_places(self) -> Array:
-        """(K, 2) positions that were much more certain than the present one."""
-        places = [(x, y) for x, y, sigma in self._rows if sigma <= _WELL_KNOWN * self.sigma_m]
-        return np.array(places).reshape(-1, 2)
+        """(K, 4) positions with obstacles in reach that were much more certain than the present one.
+
+        With each its sigma and the way driven since then.
+        """
+        places = [(x, y, s, self._way_m - way) for x, y, s, way in self._rows if s <= _WELL_KNOWN * self.sigma_m]
+        return np.array(places).reshape(-1, 4)
+
+    def are_worth_it(self, places: Array, lengths_m: Array) -> NDArray[np.bool_]:
+        """(K,) whether a return to `places` (K, 4) by ways of some lengths (K,) makes the position much more certain.
+
+        The variance grows in proportion to the way. So a robot that has been there and back again is more certain than
+        now by as much as the way is shorter than the one that it has driven since it was there.
+        """
+        _, _, sigma, since_m = places.T
+        share = np.minimum(lengths_m / np.maximum(since_m, np.finfo(np.float64).tiny), 1.0)
+        return np.asarray(sigma**2 + (self.sigma_m**2 - sigma**2) * share <= (_WELL_KNOWN * self.sigma_m) ** 2)

@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 from sixthsense import Run, cli, load, preset, run
-from sixthsense.navigation.exploration import Exploration, State
-from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.mapping.grid import Grid
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> str:
@@ -75,20 +72,6 @@ def explored(folder: Path, scene: str, **changes: Any) -> Run:
     file.write_text(scene)
     given = {"estimator": "ekf-invariant", "features": {"landmarks": "both"}, "max_time": 400.0} | changes
     return run(preset(scene=str(file), **given))
-
-
-@pytest.fixture
-def states(monkeypatch: pytest.MonkeyPatch) -> list[State]:
-    """Of the explorations of the test, after each look at the map."""
-    seen: list[State] = []
-    look = Exploration.look
-
-    def recorded(self: Exploration, grid: Grid, estimate: Estimate) -> None:
-        look(self, grid, estimate)
-        seen.append(self.state)
-
-    monkeypatch.setattr(Exploration, "look", recorded)
-    return seen
 
 
 @pytest.mark.parametrize("name", SEEN_WHOLE)
@@ -198,15 +181,6 @@ def test_without_the_return_home_it_ends_away_from_the_start(tmp_path: Path) -> 
 
 def test_the_outcome_of_a_run_that_takes_too_long_is_out_of_time(tmp_path: Path) -> None:
     assert explored(tmp_path, PILLARS, max_time=3.0).outcome == "out of time"
-
-
-def test_an_uncertain_pose_is_improved_by_a_loop_closure(tmp_path: Path, states: list[State]) -> None:
-    threshold = {"loop_closure_sigma_m": 0.001}
-    off = explored(tmp_path, two_rooms(1.0), explore=threshold | {"loop_closure": False})
-    assert "closing a loop" not in states
-    on = explored(tmp_path, two_rooms(1.0), explore=threshold)
-    assert "closing a loop" in states
-    assert on.outcome == off.outcome == "explored"
 
 
 def test_the_command_explores_by_default_and_records_unseen_places(

@@ -193,10 +193,17 @@ def test_a_target_whose_path_is_blocked_again_and_again_while_nothing_new_is_see
     assert attempts(exploration).any()
 
 
-def test_an_uncertain_pose_closes_a_loop_and_exploration_goes_on_when_it_is_certain() -> None:
+def wandered() -> tuple[Stage, Pose]:
+    """A robot that has driven to and fro in its room since it was certain of its pose, and where it is."""
     stage = Stage(TWO_ROOMS)
-    stage.look(START)
-    pose = Pose(2.0, 1.5, 0.0)
+    for x, y in ((1.0, 1.0), (3.2, 1.2), (0.6, 2.2), (3.1, 2.3), (2.0, 1.5)):
+        stage.look(Pose(x, y, 0.0))
+    return stage, Pose(2.0, 1.5, 0.0)
+
+
+def test_an_uncertain_pose_closes_a_loop_and_exploration_goes_on_when_it_is_certain() -> None:
+    stage, pose = wandered()
+    stage.exploration._history._rows = stage.exploration._history._rows[:1]
     assert stage.look(pose, sigma_m=0.2) == "closing a loop"
     assert stage.exploration._target is NO_TARGET
     np.testing.assert_allclose(stage.exploration.driver.goal, START.position)
@@ -205,14 +212,19 @@ def test_an_uncertain_pose_closes_a_loop_and_exploration_goes_on_when_it_is_cert
 
 
 def test_a_loop_closure_that_does_not_help_is_repeated_only_when_the_pose_is_much_less_certain() -> None:
-    stage = Stage(TWO_ROOMS)
-    stage.look(START)
-    pose = Pose(2.0, 1.5, 0.0)
+    stage, pose = wandered()
+    stage.exploration._history._rows = stage.exploration._history._rows[:1]
     stage.look(pose, sigma_m=0.2)
     stage.exploration.handle("arrived", START)
     assert stage.exploration.state == "viewing"
     assert stage.look(pose, sigma_m=0.25) == "viewing"
     assert stage.look(pose, sigma_m=0.35) == "closing a loop"
+
+
+def test_a_robot_that_would_go_back_as_it_came_does_not() -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    assert stage.look(Pose(2.0, 1.5, 0.0), sigma_m=0.2) == "viewing"
 
 
 def test_an_uncertain_pose_without_a_certain_place_closes_no_loop() -> None:

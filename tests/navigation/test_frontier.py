@@ -86,3 +86,46 @@ def test_clusters_come_in_the_order_of_labels_of_the_whole_map(seed: int) -> Non
     starts = np.flatnonzero((np.diff(keys[order], axis=0) != 0).any(axis=1)) + 1
     clusters = frontier.frontier_clusters(cells, 6)
     assert all(np.array_equal(a, b) for a, b in zip(clusters, np.split(cells[order], starts), strict=True))
+
+
+def plainly_closed(obstacles: Mask, seen: Mask, most: int) -> Mask:
+    """Every stretch of up to `most` unseen cells from a wall cell, or one beside it, to another."""
+    closed = obstacles.copy()
+
+    def holds(cell: tuple[int, int], mask: Mask) -> bool:
+        return 0 <= cell[0] < mask.shape[0] and 0 <= cell[1] < mask.shape[1] and bool(mask[cell])
+
+    for row, col in np.argwhere(obstacles).tolist():
+        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            for beside in (-1, 0, 1):
+                stretch: list[tuple[int, int]] = []
+                for k in range(1, most + 2):
+                    at = row + beside * right + k * down, col - beside * down + k * right
+                    sides = (at[0] + right, at[1] - down), (at[0] - right, at[1] + down)
+                    if not (0 <= at[0] < seen.shape[0] and 0 <= at[1] < seen.shape[1]):
+                        break
+                    if any(holds(cell, obstacles) for cell in (at, *sides)):
+                        for cell in stretch:
+                            closed[cell] = True
+                        break
+                    if seen[at]:
+                        break
+                    stretch.append(at)
+    return closed
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_unseen_gaps_in_walls_up_to_a_width_are_closed_and_no_other_cells(seed: int) -> None:
+    obstacles, seen = scattered(seed, 0.06, (40, 53)), scattered(seed + 10, 0.3, (40, 53))
+    closed = frontier.close_unseen_gaps(obstacles, seen, 5)
+    assert np.array_equal(closed, plainly_closed(obstacles, seen, 5))
+    assert closed.sum() > obstacles.sum() and not (closed & seen & ~obstacles).any()
+
+
+def test_a_gap_wider_than_asked_or_with_a_beam_through_it_stays_open() -> None:
+    wall, seen = np.zeros((2, 9, 30), dtype=np.bool_)
+    wall[4, [3, 4, 5, 14, 15, 21, 22]] = True
+    seen[:4] = True
+    assert np.flatnonzero(frontier.close_unseen_gaps(wall, seen, 5)[4]).tolist() == [3, 4, 5, *range(14, 23)]
+    seen[4, 18] = True
+    assert np.flatnonzero(frontier.close_unseen_gaps(wall, seen, 5)[4]).tolist() == [3, 4, 5, 14, 15, 21, 22]

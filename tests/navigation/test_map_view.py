@@ -8,7 +8,7 @@ from test_gridsearch import plain_costs
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.navigation.frontier import close_gaps
+from sixthsense.navigation.frontier import close_gaps, close_unseen_gaps
 from sixthsense.navigation.gridsearch import far_from
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import frontier_cells, spread
@@ -80,7 +80,8 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     view.draw_views(view.cell(np.zeros(2)))
     frame, rows_cols = view.frame, np.indices(view.shape)
     hits, passes, seen = (grid.part(name, frame) for name in ("hits", "passes", "seen"))
-    obstacles = close_gaps(grid.part("obstacles", frame) | ((hits >= 3) & (passes <= 15 * hits)))
+    solid = close_gaps(grid.part("obstacles", frame) | ((hits >= 3) & (passes <= 15 * hits)))
+    obstacles = close_unseen_gaps(solid, seen, 8)
     unknown = ~(seen | obstacles)
     assert np.array_equal(view.obstacles, obstacles) and np.array_equal(view.seen, seen)
     assert np.array_equal(view.opaque, ndimage.binary_dilation(obstacles, np.ones((5, 5), dtype=np.bool_)))
