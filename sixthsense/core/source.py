@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,6 +20,18 @@ class Command:
     """m/s, forward"""
     turn_rate: float = 0.0
     """rad/s, counter-clockwise"""
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """A measured motion from the pose of an earlier tick to that of this one."""
+
+    before: int
+    """number of the tick at which it begins, 0 for the first"""
+    motion: Pose
+    """of this tick's pose in the frame of that one"""
+    cov: Array
+    """(3, 3) of its error, axes of the frame before"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +59,9 @@ class Tick:
     """How often the robot and a person have touched so far, by the robot's fault and by the person's."""
     log_stamp_s: float | None = None
     """The log's own stamp of the scan, which relations refer to."""
+    closures: Sequence[Closure] | None = None
+    """Measured motions to the pose of this tick from earlier ones, of a log whose every tick is then a keyframe; None
+    in a log without any."""
     is_unmeasured: bool = False
     """Whether nothing has measured the motion since the last tick: `odometry` is held, and the scan alone tells it."""
     sightings = OldName("sightings", "observations")

@@ -36,7 +36,10 @@ TOUR = "/tour"
 OBSERVATIONS = "/observations"
 """additional topic of a log with known landmark identities: observations, robot's frame"""
 
-_TYPES = {**TOPICS, TOUR: TOPICS["/plan"], OBSERVATIONS: CLOUD}
+CLOSURES = "/closures"
+"""additional topic of a log with loop closures: motion from an earlier tick, whose number is the frame of the header"""
+
+_TYPES = {**TOPICS, TOUR: TOPICS["/plan"], OBSERVATIONS: CLOUD, CLOSURES: TOPICS["/estimate"]}
 _FILE = "bag_0.mcap"
 _CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
 _CHUNK_BYTES = 1 << 20
@@ -143,6 +146,8 @@ class BagWriter:
             self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
         if tick.observations is not None:
             self._write(OBSERVATIONS, stamp, make.cloud(stamp, tick.observations))
+        for closure in tick.closures or ():
+            self._write(CLOSURES, stamp, make.estimate(stamp, closure.motion, closure.cov, str(closure.before)))
 
     def _begin(self, stamp_ns: int, mount: tuple[float, float, float]) -> None:
         """The first message of all, where the laser is."""

@@ -98,12 +98,12 @@ class Messages:
             scan.max_range, scan.ranges, intensities,
         )  # fmt: skip
 
-    def estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
-        """geometry_msgs/PoseWithCovarianceStamped in the world frame, of (3, 3) covariance."""
+    def estimate(self, stamp_ns: int, pose: Pose, cov: Array, frame: str = WORLD) -> Any:
+        """geometry_msgs/PoseWithCovarianceStamped in the world or another frame, of (3, 3) covariance."""
         pose_with_cov = self._types["geometry_msgs/msg/PoseWithCovariance"](
             self.pose(pose), spatial_covariance(cov).ravel()
         )
-        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self.header(stamp_ns, WORLD), pose_with_cov)
+        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self.header(stamp_ns, frame), pose_with_cov)
 
     def transform(self, stamp_ns: int, parent: str, child: str, T_parent_child: Pose) -> Any:
         """tf2_msgs/TFMessage of one transform."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -16,6 +16,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Closure
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.features import NO_FEATURES, Features
@@ -40,6 +41,8 @@ class Evidence(NamedTuple):
     """the same without the returns of what moves"""
     observations: Mapping[LandmarkId, Observation]
     """of landmarks that the log identifies"""
+    closures: Sequence[Closure] | None = None
+    """measured motions from the poses of earlier keyframes; None of a log without any"""
 
 
 @dataclass(frozen=True, slots=True)

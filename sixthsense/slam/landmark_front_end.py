@@ -7,6 +7,7 @@ aligned pose is a measurement.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,12 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.source import Closure
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import Estimate, Estimator
+from sixthsense.slam.estimators import Estimate, Estimator, Smoother
+from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Features, extract
 from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, is_due
 
@@ -80,7 +83,7 @@ class LandmarkFrontEnd:
             motion = motion.then(association.slip)
         predicted = self._estimator.estimate()
         with self._clock("update"):
-            estimate = self._updated(association)
+            estimate = self._updated(association, evidence.closures)
         self._pose, index, self._keyframes = estimate.pose, self._keyframes, self._keyframes + 1
         if self._guide is not None and evidence.scan is not None:
             seen, records = association.observations, self._associator.records
@@ -101,7 +104,8 @@ class LandmarkFrontEnd:
     def _keyframe_motion(self, evidence: Evidence) -> Odometry | None:
         """The motion since the last keyframe, if this tick's evidence is used.
 
-        A scan is used after enough motion, or where it is one of the guide's keyframes; named observations always are.
+        A scan is used after enough motion, or where it is one of the guide's keyframes; named observations always are,
+        and the poses of a log with loop closures.
         """
         if self._guide is not None:
             guided = self._guide.take(evidence)
@@ -110,7 +114,7 @@ class LandmarkFrontEnd:
         elif evidence.scan is not None:
             is_used = self._keyframes == 0 or is_due(self._since.motion, self._since, self._config.keyframes)
             return self._taken() if is_used else None
-        if not evidence.observations:
+        if not evidence.observations and evidence.closures is None:
             return None
         self._is_at_guide = False
         return self._taken()
@@ -129,8 +133,11 @@ class LandmarkFrontEnd:
         self._proposed.place(self._guide.proposal(), self._estimator.estimate())
         return self._associator.associate(features.observations, self._estimator, self._proposed)
 
-    def _updated(self, association: Association) -> Estimate:
+    def _updated(self, association: Association, closures: Sequence[Closure] | None) -> Estimate:
         self._estimator.update(association.observations)
+        if closures and isinstance(self._estimator, Smoother):
+            links = [Link(each.before, self._keyframes, Odometry(each.motion, each.cov)) for each in closures]
+            self._estimator.link(links)
         estimate = self._estimator.estimate()
         gone = self._associator.forgotten(self._estimator, estimate)
         if gone:

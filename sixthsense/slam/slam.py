@@ -114,7 +114,9 @@ class Slam:
             scan = None if tick.scan is None else self._deskew(tick.scan)
         still, moving = self._without_moving(scan, increment, tick.stamp_ns)
         observations = self._sensor.corrected(tick.observations or {})
-        keyframe = self._front_end.take(Evidence(self._placed(scan, increment), scan, still, observations))
+        keyframe = self._front_end.take(
+            Evidence(self._placed(scan, increment), scan, still, observations, tick.closures)
+        )
         if keyframe is not None:
             keyframe = self._taken(keyframe)
             if still is not None:

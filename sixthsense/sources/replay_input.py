@@ -162,6 +162,10 @@ def open_recorded(
         given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
     notes += opened.remarks()
     config = of_log(config, opened)
+    if closures := sum(len(tick.closures or ()) for tick in opened.ticks):
+        left = f"left out: {config.estimator} keeps no poses, isam2 does"
+        used = "used" if config.estimator == "isam2" else left
+        notes.append(f"{closures} edges between earlier poses are loop closures, and are {used}")
     if config.no_odometry:
         notes.append(WITHOUT_ODOMETRY)
     return Recorded(absolute(log).name, opened, config, given, files, tuple(notes))

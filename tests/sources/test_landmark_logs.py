@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sixthsense as ss
 from sixthsense import cli
 from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
 from sixthsense.core.geometry import Pose
@@ -17,6 +18,7 @@ from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.mrclam import polar_observation
 from sixthsense.sources.logs.runfolder import read_run
+from sixthsense.sources.logs.text_lines import LogError
 
 CIRCLED = {1000: (3.0, 1.0), 1001: (0.0, 4.0), 1002: (-2.0, 2.0), 1003: (1.0, -2.0)}
 MOTION = "ODOMETRY {} {} 1.0 0.1 0.2 1e-4 0 0 1e-4 0 1e-4\n"
@@ -166,3 +168,52 @@ def test_victoria_park_has_its_published_size():
     log = victoria_park()
     ids = [i for tick in log.ticks for i in tick.observations]
     assert (len(log.ticks), len(ids), len(set(ids))) == (6969, 3640, 151)
+
+
+def test_edges_to_earlier_poses_are_loop_closures_either_way_and_stay_in_the_run_folder(tmp_path):
+    """A round of 12 poses whose odometry is turned too far; closures with the first poses, one of them reversed."""
+    step, wrong = Pose(0.8, 0.1, 2.0 * math.pi / 12), Pose(0.8, 0.1, 2.0 * math.pi / 12 + 0.02)
+    true = [Pose()]
+    for _ in range(12):
+        true.append(true[-1] @ step)
+    lines, upper = [], "2e3 3e2 0 4e3 0 9e3"
+    for k in range(12):
+        lines.append(f"EDGE_SE2 {k} {k + 1} {' '.join(map(repr, wrong.array().tolist()))} 1e3 0 0 1e3 0 1e3\n")
+    for i, j in ((11, 1), (0, 12), (12, 2)):
+        seen = " ".join(map(repr, (true[i].inverse() @ true[j]).array().tolist()))
+        lines.append(f"EDGE_SE2 {i} {j} {seen} {upper}\n")
+    file = graph("".join(lines), tmp_path, "round.g2o")
+    log = read_graph(file)
+    assert [len(tick.closures) for tick in log.ticks] == [0] * 11 + [1, 2]
+    one, other = log.ticks[11].closures[0], log.ticks[12].closures[0]
+    assert one.before == 1 and one.motion.array() == pytest.approx((true[1].inverse() @ true[11]).array())
+    assert other.before == 0
+    run = ss.replay(file, progress=False, out=tmp_path / "out", estimator="isam2")
+    off = [np.hypot(*(pose[:2] - at.position)) for pose, at in zip(run.trace.trajectory, true, strict=True)]
+    alone = [np.hypot(*(tick.odometry.position - at.position)) for tick, at in zip(log.ticks, true, strict=True)]
+    assert max(alone) > 0.3 and max(off) < 0.1 * max(alone)
+    again = ss.replay(tmp_path / "out", progress=False)
+    assert again.trace.trajectory == pytest.approx(run.trace.trajectory, abs=1e-12)
+    assert "found an edge from pose 3 to 9, allowed: from the newest pose, 2" in refused(tmp_path)
+
+
+def refused(folder):
+    """What is said of an edge to a pose that no way leads to."""
+    with pytest.raises(LogError) as caught:
+        read_graph(graph(MOTION.format(0, 1) + MOTION.format(1, 2) + MOTION.format(3, 9), folder, "bad.graph"))
+    return str(caught.value)
+
+
+def test_the_covariance_of_a_reversed_edge_is_that_of_its_samples(tmp_path):
+    """Draws of the edge's error, in the axes of its end, as motions the other way."""
+    rng, cov = np.random.default_rng(4), np.array([[4.0, 1.0, 0.3], [1.0, 2.0, -0.4], [0.3, -0.4, 1.0]]) * 1e-4
+    step, upper = Pose(1.7, -0.6, 0.8), " ".join(map(repr, np.linalg.inv(cov)[np.triu_indices(3)].tolist()))
+    text = (
+        MOTION.format(0, 1)
+        + MOTION.format(1, 2)
+        + f"EDGE_SE2 2 0 {' '.join(map(repr, step.array().tolist()))} {upper}\n"
+    )
+    closure = read_graph(graph(text, tmp_path, "back.g2o")).ticks[2].closures[0]
+    draws = rng.multivariate_normal(np.zeros(3), cov, 20000)
+    back = np.array([(step @ Pose(*draw)).inverse().array() for draw in draws]) - step.inverse().array()
+    assert np.abs(closure.cov - np.cov(back.T)).max() < 0.05 * np.abs(closure.cov).max()

@@ -172,6 +172,7 @@ def test_a_replay_has_the_true_poses_at_the_stamps_of_the_log_and_its_folder_giv
     found = np.array([(started.inverse() @ Pose.from_array(pose)).array() for pose in run.trace.estimates])
     true = np.array([(way(0.0).inverse() @ Pose.from_array(pose)).array() for pose in truth])
     assert np.abs(found - true)[:, :2].max() < 0.02 and np.abs(found - true)[:, 2].max() < 0.01
+    assert any(tick.closures for tick in open_log(tmp_path / "out" / "graph.g2o").ticks)
     again = ss.replay(tmp_path / "out", progress=False)
     assert np.array_equal(again.trace.estimates, run.trace.estimates)
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Closure, Tick
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.text_lines import LogError, Record, records, shown
 
@@ -54,7 +55,8 @@ def begins_as_graph(file: Path) -> bool:
 def read_graph(file: str | Path) -> Log:
     """Read a graph of consecutive poses and of landmarks seen from them; plain, gzip or bzip2.
 
-    A line is a tag and numbers; metres, radians. Edges between poses lead from the newest pose, i, to a new one, j:
+    A line is a tag and numbers; metres, radians. Edges between poses lead from pose i to j. One from the newest pose to
+    a new one is the robot's way there, any other one a loop closure between poses of the file:
 
         ODOMETRY i j x y theta  xx xy xt yy yt tt     GTSAM: the upper triangle of the COVARIANCE, by rows
         EDGE_SE2 i j x y theta  xx xy xt yy yt tt     g2o: the upper triangle of the INFORMATION, by rows
@@ -68,8 +70,8 @@ def read_graph(file: str | Path) -> Log:
 
     Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are skipped. Poses and landmarks share one
     space of ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
-    observations; odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge that does
-    not lead from the newest pose, or leads to a known pose; a landmark that is seen before its pose, or twice from one
+    observations; odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge of a pose
+    that no way leads to; a landmark that is seen before its pose, or twice from one
     pose, or has the id of a pose; an invalid number; an invalid covariance.
 
     In GTSAM's `victoria_park.txt` the six and three numbers are covariances, as GTSAM's load2D reads them (sigmas of
@@ -88,7 +90,20 @@ def read_graph(file: str | Path) -> Log:
         _READERS[tag](graph, record)
     if len(graph.ticks) < 2:
         raise LogError(f"{path}: found no edge between poses, allowed: a graph with {b', '.join(_MOTIONS).decode()}")
+    _add_closures(graph)
     return Log(list(graph.ticks.values()))
+
+
+class _Edge(NamedTuple):
+    """An edge between two poses."""
+
+    record: Record
+    before: int
+    after: int
+    step: Pose
+    """pose `after` seen from `before`"""
+    cov: Array
+    """(3, 3) of its error, axes of `after`"""
 
 
 @dataclass(slots=True)
@@ -101,6 +116,8 @@ class _Graph:
     """by pose, as in its tick"""
     kinds: dict[int, str] = field(default_factory=dict)
     """pose or landmark, by id"""
+    others: list[_Edge] = field(default_factory=list)
+    """edges that do not lead from the newest pose to a new one"""
     guessed: dict[int, str] = field(default_factory=dict)
     """the same of those with an initial value"""
 
@@ -125,13 +142,37 @@ def _read_motion(graph: _Graph, record: Record) -> None:
         graph.check_kind(record, pose, "pose")
     if not graph.ticks:
         graph.add(before, Pose())
-    if after in graph.ticks:
-        record.fail(f"found pose {after} again, allowed: a new one")
-    if before != (newest := next(reversed(graph.ticks))):
-        record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
     step = Pose.from_array(motion)
-    R_i_j = Pose(theta=step.theta).adjoint()  # rotates from the axes of pose j to those of pose i
-    graph.add(after, graph.ticks[before].odometry @ step, _symmetric(R_i_j @ cov @ R_i_j.T))
+    if after in graph.ticks or before != next(reversed(graph.ticks)):
+        graph.others.append(_Edge(record, before, after, step, cov))
+        return
+    graph.add(after, graph.ticks[before].odometry @ step, _in_axes_before(step, cov))
+
+
+def _in_axes_before(step: Pose, cov: Array) -> Array:
+    """The covariance of a motion from pose i to j, whose error has the axes of j, in those of i."""
+    R_i_j = Pose(theta=step.theta).adjoint()
+    return _symmetric(R_i_j @ cov @ R_i_j.T)
+
+
+def _add_closures(graph: _Graph) -> None:
+    """Add the edges between poses that are not next to each other to the tick of the later one."""
+    order = {pose: number for number, pose in enumerate(graph.ticks)}
+    found: dict[int, list[Closure]] = {}
+    for record, before, after, step, cov in graph.others:
+        if before not in order or after not in order:
+            newest = next(reversed(graph.ticks))
+            record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
+        if before == after:
+            record.fail(f"found an edge from pose {before} to itself, allowed: two poses")
+        if order[before] < order[after]:
+            found.setdefault(after, []).append(Closure(order[before], step, _in_axes_before(step, cov)))
+        else:  # the error of j seen from i turns and moves i seen from j
+            back = step.inverse()
+            J = np.array([[-1.0, 0.0, back.y], [0.0, -1.0, -back.x], [0.0, 0.0, -1.0]])
+            found.setdefault(before, []).append(Closure(order[after], back, _symmetric(J @ cov @ J.T)))
+    for pose, tick in graph.ticks.items() if found else ():
+        graph.ticks[pose] = replace(tick, closures=tuple(found.get(pose, ())))
 
 
 def _read_landmark(graph: _Graph, record: Record) -> None:

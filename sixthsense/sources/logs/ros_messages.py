@@ -13,6 +13,7 @@ from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan
+from sixthsense.core.source import Closure
 from sixthsense.sources.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
 from sixthsense.sources.logs.text_lines import LARGEST, LAST_STAMP_S, LogError
 from sixthsense.sources.logs.units import SI, Units, check_bearings
@@ -191,6 +192,16 @@ def read_increment_covariance(message: Any) -> Array | None:
     """(3, 3) from a message with `increment_covariance`, None if zero; ValueError for an invalid covariance."""
     cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
     return check_covariance("increment", cov6[_PLANE]) if cov6[2, 2] > 0.0 else None
+
+
+def closure_of(message: Any, number: int) -> Closure:
+    """The loop closure of a PoseWithCovarianceStamped at tick `number`, whose frame is the number of an earlier one."""
+    before = int(message.header.frame_id)
+    if not 0 <= before < number:
+        raise ValueError(f"found a loop closure with tick {before} at tick {number}, allowed: an earlier one")
+    cov = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[_PLANE]
+    motion = planar(message.pose.pose.position, message.pose.pose.orientation)
+    return Closure(before, motion, check_covariance("closure", cov))
 
 
 def is_unmeasured(message: Any) -> bool:

@@ -21,6 +21,7 @@ from sixthsense.sources.logs.ros_messages import (
     LASER_SCAN,
     ODOMETRY,
     checked_stamp,
+    closure_of,
     from_cloud,
     is_unmeasured,
     planar,
@@ -38,6 +39,7 @@ _TYPES = {
     "/plan": PLAN,
     "/tour": PLAN,
     "/observations": CLOUD,
+    "/closures": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/sightings": CLOUD,  # the name in older bags
 }
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
@@ -79,6 +81,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
             elif ticks and topic in ("/observations", "/sightings"):
                 ticks[-1] = replace(ticks[-1], observations=from_cloud(message))
+            elif ticks and topic == "/closures":
+                closure = closure_of(message, len(ticks) - 1)
+                ticks[-1] = replace(ticks[-1], closures=(*(ticks[-1].closures or ()), closure))
             elif ticks:
                 # The message has the maximum range as a float32 only.
                 known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
@@ -93,6 +98,8 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
         raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
+    if any(tick.closures for tick in ticks):
+        ticks = [replace(tick, closures=tick.closures or ()) for tick in ticks]
     used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
     remarks = [f"the recording is incomplete; its first {used_s:.1f} s are used"] * reader.cut_short
     log = RunLog(ticks, laser, remarks)
