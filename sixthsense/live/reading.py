@@ -6,12 +6,9 @@ compared with others and shown, but are never paths.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Pose
@@ -36,7 +33,6 @@ TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStampe
 _MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8, TWIST_STAMPED: 1 << 10}
 _LONGEST_FRAME = 256  # letters of the name of a frame
 _MOST_FRAMES = 1000
-_SAME_COUNT, _SAME_STEP = 0.05, 0.01  # share by which the beams of one laser differ: some vary by a few
 _MOST_KINDS = 50
 _AGAIN_NS = 10_000_000_000  # from one line of an event to the next of its kind
 _FASTEST = 100.0  # m/s and rad/s of a command
@@ -95,12 +91,12 @@ class MessageReader:
         robot = _checked_frame(message.child_frame_id)
         return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
 
-    def add_static(self, data: bytes, tree: TransformTree) -> None:
-        """Add the static transforms of a message to a tree, unless it is large already."""
+    def add_transforms(self, data: bytes, tree: TransformTree, are_static: bool = True) -> None:
+        """Add the transforms of a message, static or of /tf, to a tree, unless it is large already."""
         for link in self.read(data, TRANSFORMS).transforms:
             parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
             if len(tree.links) < _MOST_FRAMES:
-                tree.add_static(parent, child, transform(link.transform))
+                (tree.add_static if are_static else tree.add)(parent, child, transform(link.transform))
 
     def _is_odometry(self, link: Any) -> bool:
         return (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames
@@ -116,7 +112,7 @@ class MessageReader:
 
 
 class LaserReader:
-    """Reads the scans of one laser: that of the first message."""
+    """Reads the scans of one laser, each with its own beams: that whose frame most scans have until it is `fixed`."""
 
     def __init__(self, reader: MessageReader, max_range: float | None, mount: Pose | None) -> None:
         """`max_range`, metres, and `mount`, `T_robot_laser`, are those stated, which messages do not change."""
@@ -125,8 +121,9 @@ class LaserReader:
         """mount; None: not known yet"""
         self.upside_down = False
         self.frame = ""
-        """of the first scan"""
-        self._first: Scan | None = None
+        """of the scans"""
+        self._counts: Counter[str] | None = Counter()
+        """number of scans by frame; None once the frame is fixed"""
 
     def scan(self, data: bytes) -> tuple[int, Scan]:
         """The stamp of a scan, ns, and the scan."""
@@ -135,19 +132,18 @@ class LaserReader:
         if self._max_range is None and not 0.0 < float(message.range_max) <= FARTHEST_M:  # true for NaN
             allowed = f"allowed: up to {FARTHEST_M:g} m, or state it with --laser.max-range"
             raise ValueError(f"found range_max {float(message.range_max)}, {allowed}")
-        if self._first is not None and frame != self.frame:
-            raise ValueError(f"found a scan of {shown_name(frame)}, allowed: of {shown_name(self.frame)}")
         found = scan(message, self.T_robot_laser or Pose(), self.upside_down, self._max_range)
-        if self._first is None:
-            self._first, self.frame = found, frame
-        if not _is_same_laser(self._first, found):
-            now, first = _beams(found), _beams(self._first)
-            raise ValueError(f"found a laser of {now}, allowed: as in the first scan, {first}")
+        if self._counts is not None:
+            self._counts[frame] += 1
+            if self._counts[frame] > self._counts[self.frame]:
+                self.frame = frame
+        if frame != self.frame:
+            raise ValueError(f"found a scan of {shown_name(frame)}, allowed: of {shown_name(self.frame)}")
         return stamp_ns(message), found
 
-    def forget(self) -> None:
-        """Take the next scan as the first one."""
-        self._first = None
+    def fix(self) -> None:
+        """Take scans of the present frame alone from now on."""
+        self._counts = None
 
 
 class Notices:
@@ -203,19 +199,3 @@ def _checked_frame(name: str) -> str:
     if len(name) > _LONGEST_FRAME:
         raise ValueError(f"found a name of a frame with {len(name)} letters, allowed: {_LONGEST_FRAME}")
     return frame_name(name)
-
-
-def _is_same_laser(first: Scan, other: Scan) -> bool:
-    """Whether two scans have the same beams, but for a few more or less."""
-    step, count = float(first.angle_increment), len(first.ranges)
-    return (
-        abs(len(other.ranges) - count) <= _SAME_COUNT * count
-        and math.isclose(other.angle_increment, step, rel_tol=_SAME_COUNT)
-        and abs(float(other.angle_min) - float(first.angle_min)) <= max(_SAME_STEP, 2.0 * step)
-        and other.max_range == first.max_range
-    )
-
-
-def _beams(of: Scan) -> str:
-    first, step = np.degrees((float(of.angle_min), float(of.angle_increment)))
-    return f"{len(of.ranges)} beams from {first:.1f} degrees in steps of {step:.3f}, {of.max_range:g} m"

@@ -41,6 +41,7 @@ ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""
 
 _TF = "/tf"
+_SHOWN = 12  # frames in a message
 _WAIT_S = 0.05
 _HINT_S = 10.0  # without a message, until the user is told where else to look
 _FRAMES_S = 1.0  # static transforms have come by then, or there are none
@@ -113,7 +114,7 @@ class Session:
             raise NetworkError(f"{topics.scan}: {turns}")
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
-        self._laser.forget()
+        self._laser.fix()
         _, scan = self._laser.scan(found)
         laser = described_laser([scan], laser)
         robot = self.config.robot
@@ -166,7 +167,7 @@ class Session:
         self._wait(timeout_s)
         for data in self._transforms.take():
             try:
-                self._reader.add_static(data, self._frames)
+                self._reader.add_transforms(data, self._frames)
             except ValueError as error:
                 self.notices.unusable("/tf_static", error)
         for message in () if self.config.no_odometry else self._odometry.messages():
@@ -220,8 +221,12 @@ class Session:
         return drive and self._commands is None
 
     def _mount(self) -> tuple[Pose, bool]:
-        """The mount of the laser on the robot and whether it is upside down, by static transforms if there are any."""
-        until_s = time.monotonic() + _FRAMES_S
+        """The mount of the laser on the robot and whether it is upside down.
+
+        It is that of static transforms, or after some time of those of /tf that have not moved meanwhile.
+        """
+        until_s, moving, is_all = time.monotonic() + _FRAMES_S, TransformTree(), False
+        reader = self._node.reader(Topic(_TF, TRANSFORMS, FAST_SENSOR))
         while True:
             try:
                 robot = self._robot.robot or self._frames.root(self._laser.frame)
@@ -232,12 +237,23 @@ class Session:
                 raise ConfigError(f"/tf_static: {error}, or --laser.mount X Y THETA") from None
             if found is not None:
                 return found
-            if time.monotonic() > until_s:
-                frames = f"{shown_name(self._robot.robot)} to {shown_name(self._laser.frame)}"
-                self._say(f"assumed: the laser at the robot's centre, since no /tf_static leads from {frames}")
+            if time.monotonic() > until_s and is_all:
+                frames = f"{shown_name(robot)} to {shown_name(self._laser.frame)}"
+                there = ", ".join(map(shown_name, self._frames.frames()[:_SHOWN])) or "none"
+                missing = f"no constant transforms lead from {frames} (frames: {there})"
+                self._say(f"assumed: the laser at the robot's centre, since {missing}")
                 return Pose(), False
+            if time.monotonic() > until_s:
+                self._frames.add_still(moving, self._robot.frame)
+                is_all = True
+                continue
             for _ in self._received(_WAIT_S):
                 pass
+            for data in reader.take():
+                try:
+                    self._reader.add_transforms(data, moving, are_static=False)
+                except ValueError as error:
+                    self.notices.unusable(_TF, error)
 
 
 def check_one_publisher(reader: Reader) -> None:

@@ -78,32 +78,54 @@ def test_a_message_that_is_larger_than_its_kind_may_be_is_not_read():
 def test_a_tree_takes_a_thousand_frames():
     tree, reader = TransformTree(), MessageReader()
     links = [MAKE.transform(STAMP, "base_link", f"laser{k}", Pose(0.2)).transforms[0] for k in range(1005)]
-    reader.add_static(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), tree)
+    reader.add_transforms(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), tree)
     assert len(tree.links) == 1000
 
 
-def test_the_laser_is_that_of_the_first_scan_and_has_the_range_that_was_stated():
+def test_each_scan_has_its_own_beams_and_range_or_the_range_that_was_stated():
     found = laser(1.7)
     _, first = found.scan(scan_message(range_max=2000.0))
     assert first.max_range == 1.7 and first.T_robot_laser == Pose(0.2, -0.3, 0.4)
     expected = scan_of().ranges
     np.testing.assert_array_equal(first.ranges, np.where(expected <= np.float32(1.7), expected, np.inf))
     found = laser()
-    assert found.scan(scan_message())[1].max_range == 10.0 and found.frame == "laser"
-    found.scan(scan_message(350, angle_increment=2.0 * math.pi / 360))  # a few beams less
-    found.scan(scan_message(angle_min=-math.pi + 0.02))
-    for other, said in (
-        (scan_message(header=MAKE.header(STAMP, "back")), "found a scan of back, allowed: of laser"),
-        (scan_message(300, angle_increment=2.0 * math.pi / 360), "found a laser of 300 beams"),
-        (scan_message(angle_increment=0.012), "steps of 0.688, 10 m"),
-        (scan_message(angle_min=-math.pi + 0.1), "beams from -174.3 degrees"),
-        (scan_message(range_max=9.0), ", 9 m, allowed: as in the first scan, 360 beams"),
-        (scan_message(range_max=1001.0), "found range_max 1001.0, allowed: up to 1000 m"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            found.scan(other)
-    found.forget()
-    assert found.scan(scan_message(range_max=9.0, header=MAKE.header(STAMP, "back")))[1].max_range == 9.0
+    assert (
+        found.scan(scan_message())[1].max_range == 10.0 and found.scan(scan_message(range_max=9.0))[1].max_range == 9.0
+    )
+    _, fewer = found.scan(scan_message(300, angle_increment=0.012, angle_min=-1.7))
+    assert len(fewer.ranges) == 300 and fewer.bearings[2] == pytest.approx(-1.7 + 0.024, abs=1e-6)
+    with pytest.raises(ValueError, match=r"found range_max 1001\.0, allowed: up to 1000 m"):
+        found.scan(scan_message(range_max=1001.0))
+
+
+def test_a_mount_that_is_sent_in_tf_counts_where_it_stands_still_and_is_not_the_frame_of_odometry():
+    still, moving, reader = TransformTree(), TransformTree(), MessageReader()
+    for k in range(3):
+        links = [
+            MAKE.transform(STAMP, *names, pose).transforms[0]
+            for *names, pose in (
+                ("odom", "base_link", Pose(0.4, 0.3, 0.2)),  # of a robot that stands
+                ("base_link", "laser", Pose(0.2, -0.1, 0.3)),
+                ("base_link", "wheel", Pose(0.1, 0.2, 0.3 * k)),
+            )
+        ]
+        reader.add_transforms(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), moving, False)
+    still.add_still(moving, "odom")
+    assert still.mount("base_link", "laser")[0].array() == pytest.approx([0.2, -0.1, 0.3])
+    assert still.root("laser") == "base_link" and still.mount("base_link", "wheel") is None
+
+
+def test_the_frame_of_a_laser_is_that_of_most_scans_until_it_is_fixed():
+    found, other = laser(), scan_message(header=MAKE.header(STAMP, "back"))
+    found.scan(scan_message())
+    with pytest.raises(ValueError, match="found a scan of back, allowed: of laser"):
+        found.scan(other)
+    found.scan(other)
+    assert found.frame == "back"
+    found.fix()
+    for _ in range(9):
+        with pytest.raises(ValueError, match="found a scan of laser, allowed: of back"):
+            found.scan(scan_message())
 
 
 def test_what_happens_is_counted_and_said_again_after_ten_seconds():
@@ -165,7 +187,7 @@ def test_damaged_bytes_are_a_value_error(name, seed):
     read = {
         LASER_SCAN: laser().scan,
         ODOMETRY: reader.odometry,
-        TRANSFORMS: lambda data: reader.add_static(data, tree),
+        TRANSFORMS: lambda data: reader.add_transforms(data, tree),
         TWIST: reader.command,
     }[name]
     for _ in range(50):

@@ -74,7 +74,7 @@ def test_a_mount_is_the_product_of_tilted_static_transforms(plate, mount, tilted
         message = MAKE.transform(7, parent, child, Pose(*T[:2, 3]))
         message.transforms[0].transform.translation.z = float(T[2, 3])
         tilt(message.transforms[0].transform.rotation, Rotation.from_matrix(T[:3, :3]).as_quat().tolist())
-        reader.add_static(MAKE.serialized(message, TRANSFORMS), tree)
+        reader.add_transforms(MAKE.serialized(message, TRANSFORMS), tree)
     place, upside_down = tree.mount("base", "laser")
     assert upside_down == is_upside_down and place.array() == pytest.approx(mount.array(), abs=1e-9)
     laser = LaserReader(reader, None, place)

@@ -77,7 +77,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
         wait_until(lambda: found.append(robot.command()) or found[-1] == Command(0.3, -0.7))
         reader, tree = MessageReader(), TransformTree()
         (link,) = frames.take()
-        reader.add_static(link, tree)
+        reader.add_transforms(link, tree)
         sent = [reader.odometry(data) for data in odometry.take()]
         stamps = {stamp_ns(reader.read(data, simulated.SCAN.type)) for data in scans.take()}
     assert tree.mount("base_link", "laser")[0].array() == pytest.approx(LASER["mount"])

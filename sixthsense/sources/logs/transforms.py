@@ -81,12 +81,24 @@ class TransformTree:
             if topic.endswith("tf_static"):
                 self.add_static(parent, child, T_parent_child)
                 continue
-            link = self.links.setdefault(child, {}).setdefault(parent, Link(T_parent_child))
-            link.moves |= bool(np.abs(link.first - T_parent_child).max() > _STILL)
+            link = self.add(parent, child, T_parent_child)
             rows.append(len(self.stamped))
             link.rows.append(rows[-1])
             self.stamped.append((own, T_parent_child))
         return rows
+
+    def add(self, parent: str, child: str, T_parent_child: Array) -> Link:
+        """Add a transform of /tf to the link between two frames, which moves if it differs from the first one."""
+        link = self.links.setdefault(child, {}).setdefault(parent, Link(T_parent_child))
+        link.moves |= bool(np.abs(link.first - T_parent_child).max() > _STILL)
+        return link
+
+    def add_still(self, other: TransformTree, odometry: str) -> None:
+        """Add the links of another tree that do not move, but for those of the frame of odometry: a robot may stand."""
+        for child, parents in other.links.items():
+            for parent, link in parents.items():
+                if not link.moves and odometry not in (parent, child) and child not in self.links:
+                    self.add_static(parent, child, link.first)
 
     def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
         """Add a static transform, in place of an earlier one of that child."""
