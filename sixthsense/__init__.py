@@ -14,16 +14,9 @@ _choose_cache(_Path(__file__).parent)
 _lazy_getattr, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
 __all__ = [name for name in _names if not name.startswith("_")]
 
-_OLD_NAMES = {"Sighting": "Observation"}
-
 
 def __getattr__(name: str) -> _Any:
     """A public name, imported now; ImportError's kin with the nearest name for a misspelt one."""
-    if name in _OLD_NAMES:
-        from sixthsense.config.removed import note_renamed
-
-        note_renamed(f"ss.{name}", f"ss.{_OLD_NAMES[name]}")
-        return _lazy_getattr(_OLD_NAMES[name])
     try:
         return _lazy_getattr(name)
     except AttributeError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numbers
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -205,7 +204,6 @@ class Campaign(Sampled):
         `error`. Raises CampaignError for a table that cannot be read.
         """
         frame = self._rows.frame()
-        # Earlier versions had no such column.
         frame["front_end"] = [self._setting(axes).front_end for axes in frame[list(AXES)].itertuples(index=False)]
         return frame[[*LABELS, *(name for name in frame.columns if name not in LABELS)]]
 
@@ -242,22 +240,6 @@ class Campaign(Sampled):
     def _repr_html_(self) -> str:
         head, *rows = self.summary() or [["no run yet"]]
         return html_table(head, rows)
-
-    def __getitem__(self, columns: Any) -> Any:
-        """Columns of the frame, deprecated and kept for one version."""
-        return self._of_frame(columns)[columns]
-
-    def __getattr__(self, name: str) -> Any:
-        """Attributes of the frame, deprecated and kept for one version."""
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self._of_frame(name), name)
-
-    def _of_frame(self, name: Any) -> pd.DataFrame:
-        frame = self.frame()
-        text = f"a campaign is no frame any more: use campaign.frame() for {name!r}"
-        warnings.warn(text, DeprecationWarning, stacklevel=3)
-        return frame
 
 
 def load_campaign(folder: Path | str) -> Campaign:

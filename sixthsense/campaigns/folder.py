@@ -215,7 +215,7 @@ class Rows:
         self._write(f"run-{values['config_hash']}.parquet", self._arrow.table(cells, schema=self._schema))
 
     def curves(self) -> dict[str, Curves]:
-        """The errors along each run, by hash; none for a run that failed, or was made by an earlier version."""
+        """The errors along each run, by hash; none for a run that failed."""
         if not any(self._curves.glob("run-*.parquet")):
             return {}
         table = self._read(lambda: self._table(None, self._curves)).to_pandas()

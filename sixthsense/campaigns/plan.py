@@ -17,7 +17,6 @@ from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.errors import import_extra as import_of_extra
 from sixthsense.config.files import absolute
-from sixthsense.config.removed import with_current_names
 from sixthsense.config.section import shown
 
 AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
@@ -181,7 +180,7 @@ def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
                 target[name] = list(value) if isinstance(value, tuple) else value
 
     for table in tables:
-        update(fields, with_current_names({k: value for k, value in table.items() if k not in (*AXES, "seed")}))
+        update(fields, {k: value for k, value in table.items() if k not in (*AXES, "seed")})
     return fields
 
 

@@ -6,15 +6,12 @@ import contextlib
 import gc
 import os
 import sys
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
 
 from sixthsense.cli.help import help_text, help_topic
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError, allowed_names, nearest
-from sixthsense.config.removed import RenamedWarning
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
@@ -74,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     args = list(sys.argv[1:] if argv is None else argv)
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
-    with command_signals() as signals, _notes():
+    with command_signals() as signals:
         try:
             code = _run(args)
         except BaseException as error:
@@ -87,23 +84,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = signals.exit_code(_flushed(code))
         signals.is_last = argv is None
     return code
-
-
-@contextlib.contextmanager
-def _notes() -> Iterator[None]:
-    """Print the notes about old names in a line each."""
-
-    def show(message: Warning | str, category: type[Warning], *rest: Any) -> None:
-        if issubclass(category, RenamedWarning):
-            _say(f"note: {message}")
-        else:
-            shown(message, category, *rest)
-
-    shown = warnings.showwarning
-    with warnings.catch_warnings():
-        warnings.simplefilter("once", RenamedWarning)
-        warnings.showwarning = show  # type: ignore[assignment]
-        yield
 
 
 def _is_interrupt(error: BaseException | None) -> bool:

@@ -18,7 +18,6 @@ from typing import Annotated, Any, ClassVar, TypeVar, Union
 
 from sixthsense.config import Config, Section
 from sixthsense.config.errors import InputError, allowed_names, nearest
-from sixthsense.config.removed import current_name, note_renamed
 from sixthsense.config.section import checked, is_one_line, shown, shown_name
 
 T = TypeVar("T")
@@ -167,7 +166,7 @@ def config_flags(section: type[Section], path: str = "--") -> Iterator[tuple[str
 def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str, Any]:
     """The flag and its value, taken from `word` or from `stack`; UsageError for a flag not in `hints`."""
     flag, equals, text = word.partition("=")
-    flag = _current_flag(flag.replace("_", "-"))
+    flag = flag.replace("_", "-")
     if flag not in hints:
         positive = re.sub(r"^(--|.*[.])no-", r"\1", flag)
         if hints.get(positive) is bool and not equals:
@@ -198,20 +197,6 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
         raise UsageError(f"{flag}: found nothing, allowed: {len(kinds)} value{'s' * is_tuple}")
     values = [_convert(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
     return flag, values if is_tuple else values[0]
-
-
-def _current_flag(flag: str) -> str:
-    """The flag of today for one of an earlier version, with a note; any other as it is."""
-    path, dot, last = flag.removeprefix("--").rpartition(".")
-    negative = "no-" if last.startswith("no-") else ""
-    old = f"{path}{dot}{last.removeprefix('no-')}".replace("-", "_")
-    new = current_name(old)
-    if new == old:
-        return flag
-    path, dot, last = new.replace("_", "-").rpartition(".")
-    current = f"--{path}{dot}{negative}{last}"
-    note_renamed(flag, current)
-    return current
 
 
 def _list(flag: str, kind: Any, texts: list[str]) -> list[Any]:

@@ -1,6 +1,6 @@
 """The fields that `ss.run` and its kin take by name: what a type checker accepts and an editor completes.
 
-They mirror the configuration, and a test compares the two. The calls read the names of earlier versions as well.
+They mirror the configuration, and a test compares the two.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from sixthsense.config.presets import preset
-from sixthsense.config.removed import REMOVED_PRESETS, without_removed
 from sixthsense.config.section import ConfigError, as_table, merge
 from sixthsense.config.tree import Config
 from sixthsense.config.version import __version__
@@ -25,20 +24,13 @@ NOTES = ("versions", "replayed", "prior_map")
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
     """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
 
-    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed. A
-    field of an earlier version is ignored at its default.
+    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
     """
     path = Path(file)
     table = read_table(path)
-    if "versions" in table:  # a saved configuration
-        if table.get("preset") in tuple(REMOVED_PRESETS):
-            del table["preset"]  # it has all values of its preset
-        if {"goal", "tour"} <= table.keys():
-            del table["tour" if table.get("task") == "goal" else "goal"]  # of a version that took both and used one
     for note in NOTES:
         table.pop(note, None)
     try:
-        table = without_removed(table)
         return merge(base or preset(table.get("preset", otherwise)), table)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None

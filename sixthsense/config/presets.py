@@ -7,7 +7,6 @@ from typing import Any, Unpack
 
 from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.fields import Fields
-from sixthsense.config.removed import REMOVED_PRESETS
 from sixthsense.config.section import ConfigError, merge, shown
 from sixthsense.config.tree import Config
 
@@ -105,8 +104,6 @@ def preset(name: str = "default", **changes: Unpack[Fields]) -> Config:
 
     Raises ConfigError that lists the known names for any other, or names the field with a wrong value.
     """
-    if name in tuple(REMOVED_PRESETS):  # a file may hold a list there, which is not hashable
-        raise ConfigError(f"preset: found {shown(name)}; was removed: {REMOVED_PRESETS[name]}; allowed: leave it out")
-    if name not in tuple(PRESETS):
+    if name not in tuple(PRESETS):  # a file may hold a list there, which is not hashable
         raise ConfigError(f"preset: found {shown(name)}, {allowed_names(PRESETS, nearest(name, PRESETS))}")
     return merge(merge(Config(preset=name), PRESETS[name]), changes)

@@ -17,7 +17,6 @@ from sixthsense.config.pipeline import (
     ScansConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
-from sixthsense.config.removed import OldName, with_current_names
 from sixthsense.config.section import ConfigError, Count, Range, Section, shown
 
 
@@ -81,7 +80,6 @@ class Config(Section):
     follow: FollowConfig = field(default_factory=FollowConfig)
     explore: ExploreConfig = field(default_factory=ExploreConfig)
     safety: SafetyConfig = field(default_factory=SafetyConfig)
-    keyscans = OldName("keyscans", "keyframes")
 
     def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """What follows from named fields.
@@ -89,7 +87,7 @@ class Config(Section):
         A goal replaces a tour, and a tour a goal. A named estimator gets a front end that it can use, and a named front
         end an estimator that can use it. Without odometry the front end is scan matching.
         """
-        table = with_current_names(table)
+        table = dict(table)
         for name, other in (("goal", "tour"), ("tour", "goal")):
             if table.get(name) is not None and other not in table:
                 table[other] = None

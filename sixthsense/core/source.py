@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
@@ -64,7 +63,6 @@ class Tick:
     in a log without any."""
     is_unmeasured: bool = False
     """Whether nothing has measured the motion since the last tick: `odometry` is held, and the scan alone tells it."""
-    sightings = OldName("sightings", "observations")
 
 
 class Source(Protocol):

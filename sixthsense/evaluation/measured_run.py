@@ -14,7 +14,7 @@ from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import curves, key_distances, key_poses, key_times
 from sixthsense.evaluation.groups import Sample
-from sixthsense.evaluation.measure import measure, relative_errors
+from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import Metrics
 from sixthsense.record.load import RecordPart, load_record
 from sixthsense.record.trace import Trace
@@ -80,17 +80,8 @@ class MeasuredRun:
         return Landmarks(self.trace)
 
     def sample(self, name: str) -> Sample:
-        """The run under a name, as one of several that are compared.
-
-        The relative pose errors of a run of an earlier version are measured from its record.
-        """
-
-        def measured() -> dict[str, Any]:
-            known = dict(self.metrics)
-            lacks = self.trace.truths and "rpe_trans_m_1m" not in known
-            return known | (relative_errors(self.trace) if lacks else {})
-
-        return Sample(name, self.trace.config, measured, lambda: curves(self.trace))
+        """The run under a name, as one of several that are compared."""
+        return Sample(name, self.trace.config, lambda: dict(self.metrics), lambda: curves(self.trace))
 
     @property
     def title(self) -> str:

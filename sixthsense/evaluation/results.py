@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config.errors import did_you_mean, pandas
-from sixthsense.config.removed import note_renamed
 from sixthsense.evaluation.effective import EFFECTIVE
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.tables import digits, html_table, text_table
@@ -135,11 +134,7 @@ class Metrics(dict[str, Any]):
     """
 
     def __missing__(self, key: str) -> Any:
-        """A metric by its name of an earlier version, with a note; KeyError with the nearest name otherwise."""
-        current = key.replace("revisits_", "loop_closures_").replace(".revisit", ".loop_closure")
-        if current in self:
-            note_renamed(key, current)
-            return self[current]
+        """KeyError with the nearest name."""
         raise KeyError(f"{key}{did_you_mean(key, self)}")
 
     def groups(self) -> Iterator[tuple[str, list[str]]]:

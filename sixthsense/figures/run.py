@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
@@ -41,14 +40,6 @@ class Run(MeasuredRun):
 
         return figure(what, [self], over, ax)
 
-    def __getattr__(self, name: str) -> Any:
-        """Attributes of the record, deprecated and kept for one version."""
-        if name.startswith("_") or name == "trace":
-            raise AttributeError(name)
-        value = getattr(self.trace, name)
-        warnings.warn(f"run.{name} is deprecated, use run.trace.{name}", DeprecationWarning, stacklevel=2)
-        return value
-
     def _repr_html_(self) -> str:
         from sixthsense.figures.panels import card
 
@@ -71,12 +62,3 @@ def load(folder: str | Path) -> Run:
 
     """
     return Run.read(folder)
-
-
-def _load_of_trace(cls: type[Trace], folder: str | Path) -> Run:
-    """Load a run; deprecated, use `ss.load`."""
-    warnings.warn("ss.Trace.load is deprecated, use ss.load", DeprecationWarning, stacklevel=2)
-    return load(folder)
-
-
-Trace.load = classmethod(_load_of_trace)  # type: ignore[attr-defined]

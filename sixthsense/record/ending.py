@@ -188,13 +188,11 @@ def read_records(file: Path) -> dict[LandmarkId, Record]:
 def _records(arrays: dict[str, Any]) -> dict[LandmarkId, Record]:
     ids = _integers(arrays, "ids")
     n = len(ids)
-    older = {"observations": "sightings"}  # the name in older records
-    names = [name if name in arrays else older.get(name, name) for name in _COUNTS]
-    kinds, observations, first, last = (_integers(arrays, name, n).tolist() for name in names)
+    kinds, observations, first, last = (_integers(arrays, name, n).tolist() for name in _COUNTS)
     sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
     if sigmas_m.shape != (n,):
         raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")
-    shapes = _floats(arrays, "shapes", (n, 5)) if "shapes" in arrays else np.zeros((n, 5))  # not in older records
+    shapes = _floats(arrays, "shapes", (n, 5))
     columns = zip(
         map(Kind, kinds), observations, first, last, sigmas_m.tolist(), extents, map(_shape_of, shapes), strict=True
     )

@@ -28,12 +28,7 @@ from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.sources.scene import Scene
 from sixthsense.sources.walking_space import ScriptedWalk
 
-_NO_GLASS = np.zeros((0, 2, 2))
 _LARGEST = (1 << 63) - 1
-_CURRENT_NAMES = {
-    "key_scan": "keyframe", "sightings": "observations", "revisits": "loop_closures", "revisit": "loop_closure",
-}  # fmt: skip
-"""by the names that earlier versions wrote"""
 
 
 class RecordError(InputError):
@@ -79,16 +74,12 @@ def _whole_lines(file: Path) -> Iterator[bytes]:
 
 def _table(line: bytes) -> Line:
     try:
-        table = json.loads(line, object_pairs_hook=_under_current_names)
+        table = json.loads(line)
     except ValueError:
         raise ValueError("no JSON") from None
     if not isinstance(table, dict):
         raise ValueError("no table")
     return table
-
-
-def _under_current_names(pairs: list[tuple[str, Any]]) -> Line:
-    return {_CURRENT_NAMES.get(name, name): value for name, value in pairs}
 
 
 def _begun(table: Line, config: Config) -> Trace:
@@ -113,8 +104,8 @@ def _scene(table: Line | None) -> Scene | None:
         tuple((x, y) for x, y in tour),
         (x0, y0, x1, y1),
         table["solid_left"] is True,
-        _array(table, "glass", (-1, 2, 2)) if "glass" in table else _NO_GLASS,  # not in older records, as walks
-        tuple(ScriptedWalk(**walk) for walk in table.get("walkers", ())),
+        _array(table, "glass", (-1, 2, 2)),
+        tuple(ScriptedWalk(**walk) for walk in table["walkers"]),
     )
 
 
@@ -181,11 +172,10 @@ def _take_end(table: Line, trace: Trace) -> None:
         setattr(trace, name, _whole(table, name))
     for name in COUNTS_OF_DRIVES:
         setattr(trace, name, None if table[name] is None else _whole(table, name))
-    if (counts := table.get("loop_closures")) is not None:  # older records have none
+    if (counts := table["loop_closures"]) is not None:
         trace.loop_closures = LoopClosureCounts(*(_whole(counts, name) for name in LoopClosureCounts._fields))
     if "wheels" in table:
-        older = [[*row, 0.0] if len(row) == PARAMETERS - 1 else row for row in table["wheels"]]  # without the last
-        trace.wheels = _array({"wheels": older}, "wheels", (2, PARAMETERS))
+        trace.wheels = _array(table, "wheels", (2, PARAMETERS))
     if "sensor" in table:
         trace.sensor = _array(table, "sensor", (2, SENSOR_PARAMETERS))
 

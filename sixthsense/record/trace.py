@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -210,7 +209,6 @@ class Trace:
     """current state of the loop, while it runs"""
     last_position: Array | None = None
     """(2,) position of the robot at the last tick, world frame: true, or by odometry for a log"""
-    revisits = OldName("revisits", "loop_closures")
 
     def add_tick(self, tick: Tick, odometry: Pose, is_carried: bool = False) -> None:
         """Add the distance driven since the last tick, if the robot was not carried.

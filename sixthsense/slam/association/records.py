@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, WallShape
 from sixthsense.core.motion import Odometry
@@ -176,7 +175,6 @@ class Association:
     """observations that were fused with another one of the same wall"""
     slip: Odometry | None = None
     """motion that the odometry has missed, if the scan matches only with it"""
-    sightings = OldName("sightings", "observations")
 
 
 @dataclass(slots=True)
@@ -201,7 +199,6 @@ class Record:
     """of the last observation of a wall; None of a wall of an earlier run"""
     stretches: list[Footprint] = field(default_factory=list)
     """of a wall that is not straight: what was seen of it at once, each hardly like the others"""
-    sightings = OldName("sightings", "observations")
 
     def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
         """An observation of this wall (2,) from `pose`, with what its shape's error has in common with the last one."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
-from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, Observation, WallShape
 from sixthsense.core.laser import Scan
@@ -39,7 +38,6 @@ class Features:
     """beams of each first-level partition"""
     spans: tuple[Indices, ...]
     """beams of each second-level partition"""
-    sightings = OldName("sightings", "observations")
 
 
 NO_FEATURES = Features(np.zeros((0, 2, 2)), (), (), ())

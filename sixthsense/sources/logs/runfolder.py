@@ -40,7 +40,6 @@ _TYPES = {
     "/tour": PLAN,
     "/observations": CLOUD,
     "/closures": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "/sightings": CLOUD,  # the name in older bags
 }
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
@@ -79,7 +78,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
-            elif ticks and topic in ("/observations", "/sightings"):
+            elif ticks and topic == "/observations":
                 ticks[-1] = replace(ticks[-1], observations=from_cloud(message))
             elif ticks and topic == "/closures":
                 closure = closure_of(message, len(ticks) - 1)
