@@ -14,7 +14,7 @@ from sixthsense.record.factors import FactorGraph, factor_graph, links_of, write
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs import open_log
 
-KEEP = {"culling": False}  # a culled landmark's observations are in the solver's past, and not in the graph
+KEEP = {"cull_below": 0}  # a culled landmark's observations are in the solver's past, and not in the graph
 
 
 @pytest.fixture(scope="module", params=["isam2", "ekf"])

@@ -319,7 +319,7 @@ def test_cells_are_solid_from_one_threshold_on_or_above_the_other(tmp_path, unkn
         assert len(scene.walls) == (8 if is_solid else 4), shade
 
 
-def test_alpha_counts_in_mode_trinary_alone(tmp_path):
+def test_alpha_is_averaged_in_mode_trinary_and_makes_a_cell_unknown_in_mode_scale(tmp_path):
     pixels = np.full((7, 12), 255, dtype=np.uint8)
     pixels[5, 8] = 0
     file, alpha = a_map(tmp_path, pixels, "[2.5, -3.5, 0.7]", image="m.png"), np.full((7, 12), 255, dtype=np.uint8)
@@ -327,7 +327,7 @@ def test_alpha_counts_in_mode_trinary_alone(tmp_path):
     Image.fromarray(np.dstack([pixels, alpha])).save(tmp_path / "m.png")
     both = len(load_scene(file).walls)
     file.write_text(file.read_text() + "mode: scale\n")
-    assert (both, len(load_scene(file).walls)) == (8, 4)
+    assert (both, len(load_scene(file).walls), len(load_scene(file, "free").walls)) == (8, 8, 4)
 
 
 @pytest.mark.parametrize(("solid_border", "is_closed"), [(13, False), (21, True), (34, False)])
