@@ -70,21 +70,6 @@ class MotionSource(Protocol):
         ...
 
 
-def make_motion_source(config: Config, estimator: Estimator) -> MotionSource:
-    """The configured source of motion; ConfigError for an estimator that cannot estimate the wheels, if it is to."""
-    if config.no_odometry:
-        return LastVelocity()
-    if not config.calibrate_wheels:
-        return Intermittent(Wheels(config.assumed))
-    if not isinstance(estimator, Filter):
-        raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
-    prior = wheel_prior(config.assumed)
-    estimator.estimate_wheels(prior)
-    source = Intermittent(CalibratedWheels(config.assumed))
-    source.at_keyframe(prior)
-    return source
-
-
 class Wheels:
     """Wheels have measured the motion, and an aligned scan is no reason to forget it."""
 
@@ -322,48 +307,47 @@ class LastVelocity:
         self._begin_anew()
 
 
-class Intermittent:
-    """Wheels, and the last velocity where a log says that nothing has measured the motion."""
+class Motion:
+    """The motion between ticks by the source that is present: wheels, and the last velocity where nothing measures it.
 
-    def __init__(self, wheels: Wheels) -> None:
+    A log says of each tick whether wheels have measured the motion to it.
+    """
+
+    def __init__(self, wheels: Wheels | None) -> None:
+        """Begin with `wheels`, or without any."""
         self._wheels, self._velocity = wheels, LastVelocity()
-        self._source: MotionSource = wheels
-
-    @property
-    def is_guess(self) -> bool:
-        """Whether nothing has measured the motion since the last tick."""
-        return self._source.is_guess
+        self.present: MotionSource = wheels or self._velocity
+        """says what the motion since the last keyframe is worth"""
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
-        """The motion by the wheels, or where they have not measured it, by a velocity that begins as unknown."""
-        if not tick.is_unmeasured:
-            self._source = self._wheels
-        elif self._source is not self._velocity:
-            self._velocity.lost()
-            self._source = self._velocity
-        return self._source.increment(before, tick, duration_s, since)
+        """The motion since the last tick, `duration_s` ago; by the last velocity where wheels have not measured it.
 
-    def is_carried(self, increment: Odometry) -> bool:
-        """As the present source of motion says."""
-        return self._source.is_carried(increment)
-
-    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
-        """As the present source of motion says."""
-        return self._source.aligned(since, found)
-
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """As the present source of motion says."""
-        return self._source.for_tracking(since)
-
-    def for_estimator(self, since: Odometry) -> Odometry:
-        """As the present source of motion says."""
-        return self._source.for_estimator(since)
-
-    def at_end(self, since: Odometry) -> Odometry:
-        """As the present source of motion says."""
-        return self._source.at_end(since)
+        `before` is `T_odom_robot` then, and `since` the motion from the last keyframe until then.
+        """
+        if self._wheels is not None and not tick.is_unmeasured:
+            self.present = self._wheels
+        elif self.present is not self._velocity:
+            self._velocity.lost()  # it begins as unknown
+            self.present = self._velocity
+        return self.present.increment(before, tick, duration_s, since)
 
     def at_keyframe(self, wheels: WheelEstimate | None) -> None:
-        """Begin anew at a keyframe."""
-        self._wheels.at_keyframe(wheels)
+        """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
+        if self._wheels is not None:
+            self._wheels.at_keyframe(wheels)
         self._velocity.at_keyframe(wheels)
+
+
+def make_motion(config: Config, estimator: Estimator) -> Motion:
+    """The configured sources of motion; ConfigError for an estimator that cannot estimate the wheels, if it is to."""
+    if config.no_odometry:
+        return Motion(None)
+    if not config.calibrate_wheels:
+        return Motion(Wheels(config.assumed))
+    if not isinstance(estimator, Filter):
+        raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
+    prior = wheel_prior(config.assumed)
+    estimator.estimate_wheels(prior)
+    motion = Motion(CalibratedWheels(config.assumed))
+    motion.at_keyframe(prior)
+    return motion

@@ -30,7 +30,7 @@ from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
-from sixthsense.slam.motion_source import MotionSource, Wheels, make_motion_source
+from sixthsense.slam.motion_source import Motion, Wheels, make_motion
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
@@ -74,7 +74,7 @@ class Slam:
         self._mapper = Mapper(config.grid, self._radius_m, config.safety.body_m)
         records = None if prior_map is None else prior_map.fresh_records()
         self.associator = Associator(config.association, records, self._mapper.are_free)
-        self._motion = make_motion_source(config, self.estimator)
+        self._motion = make_motion(config, self.estimator)
         self._deskew = Deskewer(config.features.deskew)
         self._moving = MovingReturns(config.grid.no_return_passes) if config.people else None
         self._sensor = SensorCalibration(config, self.estimator, self._start)
@@ -255,7 +255,7 @@ class Slam:
 
 
 def make_front_end(
-    config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: MotionSource, clock: Clock
+    config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: Motion, clock: Clock
 ) -> FrontEnd:
     """The configured front end at `start`, `T_world_robot`; ConfigError for one that the estimator cannot use."""
     if config.front_end == "scan-matching":
@@ -270,5 +270,5 @@ def make_front_end(
         from sixthsense.slam.scans.front_end import ScanFrontEnd
 
         smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
-        guide = ScanFrontEnd(config, smoother, start, Wheels(config.assumed), clock, is_guide=True)
+        guide = ScanFrontEnd(config, smoother, start, Motion(Wheels(config.assumed)), clock, is_guide=True)
     return LandmarkFrontEnd(config, estimator, associator, random_streams(config.seed).ransac, start, clock, guide)

@@ -17,7 +17,7 @@ from sixthsense.core.se2 import between, compose, composed_covariance, turned_co
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, LoopClosureCounts, is_due
-from sixthsense.slam.motion_source import MotionSource, with_wheel_errors
+from sixthsense.slam.motion_source import Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import REACH_M, REACH_RAD, ScanGraph
 from sixthsense.slam.scans.links import private_covariance, reported
@@ -50,12 +50,12 @@ class ScanFrontEnd:
         config: Config,
         estimator: Smoother,
         start: Pose,
-        motion: MotionSource,
+        motion: Motion,
         clock: Clock,
         is_guide: bool = False,
     ) -> None:
         """Begin at `start`, `T_world_robot`; `is_guide` is whether only what it proposes is used, as it comes."""
-        self._motion_source, self._clock = motion, clock
+        self._sources, self._clock = motion, clock
         self._config, self._estimator, self._pose = config, estimator, start
         self._has_final_pass = config.scans.final_pass and not is_guide
         self._store = ScanStore(config.scans.max_range_m)
@@ -85,7 +85,7 @@ class ScanFrontEnd:
     @property
     def since(self) -> Odometry:
         """Motion since the last keyframe, by the last scan and the odometry since."""
-        return Odometry(self._motion_since, self._motion_source.at_end(self._since).cov)
+        return Odometry(self._motion_since, self._sources.present.at_end(self._since).cov)
 
     @property
     def _motion_since(self) -> Pose:
@@ -101,7 +101,7 @@ class ScanFrontEnd:
             self._mount = Mount(scan.T_robot_laser)
         with self._clock("track"):
             tracked = self._tracked(scan)
-        found = self._motion_source.aligned(self._since, self._found(tracked))
+        found = self._sources.present.aligned(self._since, self._found(tracked))
         if not self._is_due():
             self._since = found
             self._keep(scan)
@@ -125,7 +125,7 @@ class ScanFrontEnd:
         if increment is not None:
             self._since = self._since.then(increment)
             self._pose = self._pose @ increment.motion
-            self._is_carried |= self._motion_source.is_carried(increment)
+            self._is_carried |= self._sources.present.is_carried(increment)
 
     def _keep(self, scan: Scan | None) -> None:
         """Keep a scan, or the newest keyframe for None, for the final pass."""
@@ -140,7 +140,7 @@ class ScanFrontEnd:
 
     def finish(self) -> Finished:
         """Predict up to the last tick, and align the scans between keyframes once more."""
-        motion = self._motion_source.at_end(self._since)
+        motion = self._sources.present.at_end(self._since)
         key = self._reported(self._estimator.estimate())
         self._estimator.predict(motion)
         to = motion.motion
@@ -179,7 +179,7 @@ class ScanFrontEnd:
         motions = (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
         tracked = track(self._views(row, self._references()), prior, starts, self._usual)
-        is_guess = self._motion_source.is_guess
+        is_guess = self._sources.present.is_guess
         if tracked.is_lost(self._usual) or (is_guess and tracked.is_doubted(self._usual)):
             found = search(self._views(row, self.loop_closures.of_last_metres(self.newest)), prior, self._usual)
             tracked = max(tracked, found, key=lambda each: each.log_odds(self._usual))
@@ -217,23 +217,23 @@ class ScanFrontEnd:
         if self._is_carried or not self._store.count:
             return self._since
         if tracked is None:
-            return self._noise.applied(self._motion_source.for_estimator(self._since))
+            return self._noise.applied(self._sources.present.for_estimator(self._since))
         if tracked.has_slipped:
             return self._slipped(self._motion_since)
-        motion = self._noise.applied(self._motion_source.for_estimator(self._since))
+        motion = self._noise.applied(self._sources.present.for_estimator(self._since))
         return weakened(motion, tracked.slip)
 
     def _since_of_laser(self) -> Odometry:
-        return self._mount.laser_odometry(self._noise.applied(self._motion_source.for_tracking(self._since)))
+        return self._mount.laser_odometry(self._noise.applied(self._sources.present.for_tracking(self._since)))
 
     def _learn_noise(self, tracked: Tracked) -> None:
         """Take in what the newest scan says of the wheels."""
-        if self._motion_source.is_guess or self._prior is None:
+        if self._sources.present.is_guess or self._prior is None:
             return
         heading = -float(self._graph.poses[-1, 2])
         left = np.linalg.inv(self._prior.information + tracked.information)
         off = np.append(rotation(heading) @ tracked.off[:2], tracked.off[2])
-        stated = self._mount.laser_odometry(self._motion_source.for_tracking(self._since)).cov
+        stated = self._mount.laser_odometry(self._sources.present.for_tracking(self._since)).cov
         self._noise.measured(stated, off, turned_covariance(np.asarray(left), heading))
 
     def _references(self) -> NDArray[np.int64]:
