@@ -91,7 +91,7 @@ def robot_bag(
             return
         bearings = says["first"] + says["step"] * np.arange(says["count"])
         ranges = cast_rays(way(t) @ MOUNT, bearings, WALLS, 100.0) if says["ranges"] is None else says["ranges"]
-        row = np.asarray(ranges, np.float32)
+        row = np.asarray(ranges, np.float32)[:: -1 if says.get("is_mirrored") else 1]
         angles = says["first"], bearings[-1] if len(bearings) else 0.0, says["step"]
         angles = tuple(float(a) * says.get("angle_unit", 1.0) for a in angles)
         unit = says["unit"]

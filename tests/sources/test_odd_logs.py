@@ -136,6 +136,11 @@ def test_two_clocks_that_share_no_time_and_no_turn_are_refused_with_both_interva
         open_log(still)
 
 
+def test_ranges_from_right_to_left_are_told_by_the_turns(tmp_path):
+    log = open_log(robot_bag(tmp_path / "bag", scan=at(every, "is_mirrored", True)))
+    assert any(note.startswith("scans turn the other way round from odometry") for note in log.remarks())
+
+
 def test_where_no_frames_lead_to_the_laser_the_note_names_those_that_there_are(tmp_path):
     links = (("static", "robot1/base_link", "robot1/laser", MOUNT),)
     log = open_log(robot_bag(tmp_path / "bag", links=links))

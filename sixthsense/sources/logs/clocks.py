@@ -49,21 +49,14 @@ def clock_offset_s(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.in
     `scans` have stamps, ns, of their first beams; `odometry_ns` (N,) ascends, `headings` (N,) rad. An offset is sure if
     it explains most of what the scans say of turns, clearly more than any other offset.
     """
-    if len(scans) < 2 or len(odometry_ns) < 2:
+    both = _both(scans, odometry_ns, headings)
+    if both is None:
         return None
-    origin_ns = int(scans[0][0])
-    found = scan_turns(scans)
-    known_s = 1e-9 * (odometry_ns - origin_ns).astype(np.float64)
-    if known_s[-1] - known_s[0] > _LONGEST_LOG_S:
-        return None
-    grid_s = np.arange(known_s[0], known_s[-1] + _GRID_S, _GRID_S)
-    heading = np.interp(grid_s, known_s, np.unwrap(headings))
-    if np.count_nonzero(np.abs(found.turns) > _TURN_RAD) < _FEWEST_TURNS:
-        return None
+    found, first_s, heading = both
 
     def left(offsets_s: Array) -> Array:
         """Share of the squared turns that each offset does not explain."""
-        return np.array([_unexplained(found, known_s[0], heading, offset) for offset in offsets_s])
+        return np.array([_unexplained(found, first_s, heading, offset) for offset in offsets_s])
 
     coarse = np.arange(-MOST_S, MOST_S + _STEP_S, _STEP_S)
     errors = left(coarse)
@@ -77,6 +70,30 @@ def clock_offset_s(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.in
     without, within = float(left(np.zeros(1))[0]), max(float(errors.min()), 1e-9)
     is_likelier = 0.5 * len(found.turns) * np.log(without / within) > _LIKELIER
     return offset_s if abs(offset_s) >= LEAST_S and is_likelier else 0.0
+
+
+def are_mirrored(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.int64], headings: Array) -> bool:
+    """Whether scans turn the other way round from odometry of the same clock: from right to left, or upside down."""
+    both = _both(scans, odometry_ns, -headings)
+    return both is not None and _unexplained(*both, 0.0) < 1.0 - _EXPLAINED
+
+
+def _both(
+    scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.int64], headings: Array
+) -> tuple[Turns, float, Array] | None:
+    """Turns by scans, and headings (G,) by odometry, every `_GRID_S` from a time on, seconds since the first scan.
+
+    None where the robot hardly turns.
+    """
+    if len(scans) < 2 or len(odometry_ns) < 2:
+        return None
+    found = scan_turns(scans)
+    known_s = 1e-9 * (odometry_ns - int(scans[0][0])).astype(np.float64)
+    is_long = known_s[-1] - known_s[0] > _LONGEST_LOG_S
+    if is_long or np.count_nonzero(np.abs(found.turns) > _TURN_RAD) < _FEWEST_TURNS:
+        return None
+    grid_s = np.arange(known_s[0], known_s[-1] + _GRID_S, _GRID_S)
+    return found, float(known_s[0]), np.interp(grid_s, known_s, np.unwrap(headings))
 
 
 def scan_turns(scans: Sequence[tuple[int, Scan]]) -> Turns:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.clocks import clock_offset_s
+from sixthsense.sources.logs.clocks import are_mirrored, clock_offset_s
 from sixthsense.sources.logs.log import longest_s, pose_between
 from sixthsense.sources.logs.stamps import passed_s, shown_span
 
@@ -50,6 +50,11 @@ def one_clock(
     seen = [(each.own_ns, each.value) for each in scans if isinstance(each.value, Scan)]
     offset_s = clock_offset_s(seen, stamps, headings)
     if not offset_s:
+        if offset_s is None and are_mirrored(seen, stamps, headings):
+            remarks.append(
+                "scans turn the other way round from odometry: are the ranges from right to left, or is the laser "
+                "upside down?"
+            )
         if scans[0].own_ns > stamps[-1] or scans[-1].own_ns < stamps[0]:
             spans = shown_span([each.own_ns for each in scans]), shown_span(stamps)
             raise ValueError(f"found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
@@ -169,8 +174,12 @@ def _times_alone(out: _Joined, entries: Sequence[tuple[Stamped, float]]) -> list
     spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     lines = []
     for span in spans:
+        if len(span) == 1:
+            continue  # a scan that ends after the last odometry, of any bag
         begin_s, end_s = stamps_s[span[0]], stamps_s[span[-1]]
         when = "at the beginning" if span[0] == 0 else "at the end" if span[-1] == len(out.ticks) - 1 else "in a pause"
         lines.append(f"{begin_s:.1f} to {end_s:.1f} s ({len(span)} scans, {when})")
+    if not lines:
+        return []
     shown = ", ".join(lines[:4]) + f" and {len(lines) - 4} more" * (len(lines) > 4)
     return [f"no odometry from {shown}: these scans go on alone, each predicted by the last velocity"]
