@@ -6,7 +6,6 @@ has the costs of going, `path_driver.py` drives.
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import numpy as np
@@ -51,8 +50,8 @@ class Exploration:
         self._history = PoseHistory(task.config.explore)
         self._ways_home = 0  # that were tried again
         self._stuck = False  # since the last arrival
-        self._blocked_paths = self._waits = 0  # since the robot has seen anything new
-        self._seen_m2 = 0.0
+        self._at_choice = 0.0, 0.0  # area seen and way driven, when the view was chosen
+        self._waits, self._seen_m2 = 0, 0.0  # since the robot has seen anything new, and how much that was
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.config)
@@ -79,7 +78,6 @@ class Exploration:
             return
         if self._target.is_seen(grid) and not waits:
             self._has_seen_more |= self._target is not NO_TARGET
-            self._blocked_paths = 0
             self._choose_view(pose)
         elif not self._turning and not self.driver.path_is_free(pose):
             self._replan_or_choose_view(pose)
@@ -112,14 +110,13 @@ class Exploration:
         else:
             self._count_failed_view(pose)
         self._stuck = event == "stuck" or (self._stuck and event != "arrived")
-        if event == "arrived":
-            self._blocked_paths = 0
         return self.outcome is not None
 
     def _choose_view(self, pose: Pose) -> None:
         """Head for the first view of a tour, or home when none is left."""
         self.driver.stop()
         self.state, self._turning = "viewing", False
+        self._at_choice = self._map.grid.seen_area_m2, self._history.way_m
         self._target = self._next_target(pose) or self._target_outside(pose) or NO_TARGET
         if self._target is not NO_TARGET:
             if len(self._target.tour):
@@ -141,22 +138,27 @@ class Exploration:
             self._finish()
 
     def _replan_or_choose_view(self, pose: Pose) -> None:
-        """Without a path, or with a much longer one, choose anew: what was seen on the way may favour another view.
+        """Go on by another path; only what was newly seen on the way is a reason to choose another view.
 
-        Noise may open one of two gaps as often as the other, and the robot would turn from one to the other for ever.
-        So a target whose path is blocked again and again, while nothing new is seen, is given up.
+        A longer path to the same view is taken, unless the way driven for it is repaid: then another view may be better
+        now. A view that no path leads to any more counts as failed, if it is not. So to and fro cost unseen area or one
+        of a few tries, which both come to an end.
         """
         promised_m = self.driver.remaining_m(pose)
         self.driver.plan(pose)
-        if self.driver.remaining_m(pose) <= self._task.config.safety.detour * promised_m < math.inf:
+        is_longer = self.driver.remaining_m(pose) > self._task.config.safety.detour * promised_m
+        if self.driver.following and not (is_longer and self._is_repaid):
             return
-        self._forget_if_new()
-        self._blocked_paths += 1
-        if self._blocked_paths <= PATIENT_TURNS:
-            self._choose_view(pose)
-        else:
-            self._blocked_paths = 0
-            self._give_up_target(pose)
+        if not self._is_repaid:
+            self._view.count_attempt(self._target.cells)
+        self._choose_view(pose)
+
+    @property
+    def _is_repaid(self) -> bool:
+        """Whether the robot has newly seen as much, since it chose the view, as its body has swept on its way there."""
+        seen_m2, way_m = self._at_choice
+        swept_m2 = 2.0 * self._task.radius_m * (self._history.way_m - way_m)
+        return self._map.grid.seen_area_m2 - seen_m2 > swept_m2
 
     def _count_failed_view(self, pose: Pose) -> None:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
@@ -244,17 +246,13 @@ class Exploration:
         return self._view.cell(pose.position if free is None else free)
 
     def _may_wait(self) -> bool:
-        """Count a wait for people to go; whether any are expected and patience is left."""
-        self._forget_if_new()
+        """Count a wait for people to go, anew if more has been seen; whether any are expected and patience is left."""
+        seen_m2 = self._map.grid.seen_area_m2
+        if seen_m2 > self._seen_m2 + self._task.config.explore.least_area_m2:  # beside noise at obstacles' edges
+            self._waits = 0
+        self._seen_m2 = max(seen_m2, self._seen_m2)
         self._waits += 1
         return bool(self._task.config.people) and self._waits <= PATIENT_TURNS
-
-    def _forget_if_new(self) -> None:
-        """Count blocked paths and waits from nothing if more has been seen since, beside noise at obstacles' edges."""
-        seen_m2 = self._map.grid.seen_area_m2
-        if seen_m2 > self._seen_m2 + self._task.config.explore.least_area_m2:
-            self._blocked_paths = self._waits = 0
-        self._seen_m2 = max(seen_m2, self._seen_m2)
 
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
         """The map as a path planner sees it."""

@@ -26,6 +26,7 @@ from sixthsense.navigation.ways import track_cells
 from sixthsense.slam.mapping.changes import Box, Revision, box_of
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.inflation import disc
 
 _UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
 _WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
@@ -222,6 +223,7 @@ class MapView:
         It is opened again where the whole clearance is free, after a wall has moved.
         """
         cells = track_cells(ahead, self.cell_m)
+        cells = np.unique((cells[:, None] + disc(1.0)).reshape(-1, 2), axis=0)
         self._stops[self._inside(cells)] += 1
         self.redraw(box_of(cells))
 
@@ -254,7 +256,7 @@ class MapView:
         cell_m, origin = self.cell_m, (self.frame.left * self.cell_m, self.frame.top * self.cell_m)
         if self._space is None:
             self._space = FreeSpace(self.blocked, self.seen, origin, cell_m)
-        if margin_m == 0.0 or within is None:
+        if within is None:
             return self._space.covering(*places)
         part = within.rows_and_cols(self.shape, origin, cell_m)
         box = self._box(*part)

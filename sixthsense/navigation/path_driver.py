@@ -23,8 +23,7 @@ DriveEvent = Literal["arrived", "turned around", "stuck"]
 several, and no path was found during it; stuck: no progress for a while."""
 
 PATIENT_TURNS = 5
-"""turns on the spot, half a minute, that a robot without a way waits for people to go; and as many blocked paths in a
-row to what it wants to see"""
+"""turns on the spot, half a minute, that a robot without a way waits for people to go"""
 _STUCK_S = 60.0  # least time without progress after which the robot is stuck
 _STUCK_M = 0.1  # progress
 _REORIENT = 5.0  # the robot stops and turns on the spot at this multiple of the heading slack

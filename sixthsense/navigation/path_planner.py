@@ -30,7 +30,7 @@ from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.inflation import giving_way
 
-_HALVINGS = 3  # steps from no margin to the one that is wanted, each twice the one before
+_SHARES = 0.0, 0.125, 0.25, 0.5, 1.0  # of the margin that is wanted, by which a space is made narrower step by step
 
 FreeSpaceFunction = Callable[[float, Array, Ellipse | None], FreeSpace]
 """The free space with a margin, metres, that covers (K, 2) places, within an ellipse."""
@@ -77,11 +77,14 @@ def plan_with_margin(
     if plan is not None:
         return plan, whole, wanted_m
     best, space, kept_m, has_gaps = shortest, widest, 0.0, False
-    for k in range(_HALVINGS, -1, -1):
-        margin = wanted_m / 2**k
-        narrower = whole if k == 0 else free_space(margin, ends, near)
+    for share in _SHARES:
+        margin = share * wanted_m
+        narrower = whole if share == 1.0 else free_space(margin, ends, near)
         gaps = np.vstack(
-            [_gaps(narrower, best.path_world, 0.5 * margin), *(p[None] for p in ends if narrower.is_blocked(p))]
+            [
+                _gaps(narrower, best.path_world, max(0.5 * margin, narrower.cell_m)),
+                *(p[None] for p in ends if narrower.is_blocked(p)),
+            ]
         )
         if len(gaps):
             narrower = giving_way(narrower, space, gaps, margin)

@@ -25,7 +25,8 @@ class PoseHistory:
         self._explore = explore
         self._loop_closure_threshold_m = explore.loop_closure_sigma_m
         self._much_less_m = math.inf
-        self._way_m = 0.0
+        self.way_m = 0.0
+        """driven until the latest position"""
         self._rows: list[tuple[float, float, float, float]] = []  # x, y, sigma, and the way driven until there
 
     def add(self, pose: Pose, pose_cov: Array, sees_walls: bool) -> None:
@@ -35,8 +36,8 @@ class PoseHistory:
         """
         self.sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(pose_cov[:2, :2])[-1]), 0.0))
         if self._rows:
-            self._way_m += math.dist(self._rows[-1][:2], (pose.x, pose.y))
-        self._rows.append((pose.x, pose.y, self.sigma_m if sees_walls else math.inf, self._way_m))
+            self.way_m += math.dist(self._rows[-1][:2], (pose.x, pose.y))
+        self._rows.append((pose.x, pose.y, self.sigma_m if sees_walls else math.inf, self.way_m))
 
     @property
     def is_certain(self) -> bool:
@@ -66,7 +67,7 @@ class PoseHistory:
 
         With each its sigma and the way driven since then.
         """
-        places = [(x, y, s, self._way_m - way) for x, y, s, way in self._rows if s <= _WELL_KNOWN * self.sigma_m]
+        places = [(x, y, s, self.way_m - way) for x, y, s, way in self._rows if s <= _WELL_KNOWN * self.sigma_m]
         return np.array(places).reshape(-1, 4)
 
     def are_worth_it(self, places: Array, lengths_m: Array) -> NDArray[np.bool_]:

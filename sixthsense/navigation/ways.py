@@ -19,6 +19,7 @@ from sixthsense.slam.mapping.grid import Grid
 
 _FREE = np.uint8(1)
 _OUT_M = 2.0  # longest way out of the inflation over tight cells
+_STEP = 0.1  # cells between the points of a path whose cells are its own: fewer would cut corners
 _OVERLAP = np.uint8(4)  # on the way out, price of cells where, if the map is right, the robot does not fit
 
 
@@ -45,10 +46,8 @@ def way_out(grid: Grid, space: FreeSpace, start: Array, clearance_m: float) -> A
 
 
 def track_cells(positions: Array, cell_m: float) -> Cells:
-    """(M, 2) the cells along a path (N, 2), metres, and their neighbours, row and col from the world's origin."""
+    """(M, 2) the cells along a path (N, 2), metres, row and col from the world's origin."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
-    steps = np.arange(0.0, along[-1] + cell_m, 0.5 * cell_m)
+    steps = np.arange(0.0, along[-1] + cell_m, _STEP * cell_m)
     points = np.column_stack([np.interp(steps, along, positions[:, axis]) for axis in (1, 0)])
-    cells = np.unique(np.floor(points / cell_m).astype(np.int64), axis=0)
-    beside = np.stack(np.meshgrid(np.arange(-1, 2), np.arange(-1, 2)), axis=-1).reshape(-1, 2)
-    return np.unique((cells[:, None] + beside).reshape(-1, 2), axis=0)
+    return np.unique(np.floor(points / cell_m).astype(np.int64), axis=0)

@@ -10,7 +10,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration import Exploration, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent
+from sixthsense.navigation.path_driver import DriveEvent, Following
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.unseen_places import UnseenPlace
@@ -182,15 +182,36 @@ def test_an_arrival_between_two_times_stuck_lets_the_robot_go_on() -> None:
     assert not stage.exploration.handle("stuck", START)
 
 
-def test_a_target_whose_path_is_blocked_again_and_again_while_nothing_new_is_seen_is_given_up() -> None:
+def blocked(seen_m2: float = 0.0) -> tuple[Stage, NDArray[np.uint8]]:
+    """An exploration whose target no path leads to any more, after so much was newly seen, and its attempts then."""
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    exploration, cells = stage.exploration, unknown_cells(stage.exploration)
+    exploration._at_choice = stage.grid.seen_area_m2 - seen_m2, exploration._history.way_m
+    exploration.driver.plan = lambda pose: exploration.driver.stop()  # type: ignore[method-assign]
+    exploration.driver.stop()
+    exploration._replan_or_choose_view(START)
+    return stage, attempts(exploration)[cells]
+
+
+def test_a_view_that_no_path_leads_to_any_more_counts_as_failed_unless_more_was_seen_on_the_way() -> None:
+    assert (blocked()[1] == 1).all()
+    assert (blocked(0.5)[1] == 0).all()
+
+
+@pytest.mark.parametrize(("seen_m2", "is_kept"), [(0.0, True), (0.5, False)])
+def test_a_view_is_kept_though_its_path_becomes_longer_unless_its_way_is_repaid(seen_m2: float, is_kept: bool) -> None:
     stage = Stage(TWO_ROOMS)
     stage.look(START)
     exploration = stage.exploration
-    for _ in range(PATIENT_TURNS + 1):
-        assert not attempts(exploration).any()
-        exploration.driver.stop()
-        stage.look(START)
-    assert attempts(exploration).any()
+    target, there = exploration._target, exploration.driver.goal
+    near = START.position + 0.1 * (there - START.position)
+    exploration.driver.drive = exploration.driver.drive._replace(
+        following=Following.along(np.array([START.position, near]))
+    )
+    exploration._at_choice = stage.grid.seen_area_m2 - seen_m2, exploration._history.way_m
+    exploration._replan_or_choose_view(START)
+    assert (exploration._target is target) is is_kept
 
 
 def wandered() -> tuple[Stage, Pose]:
