@@ -9,7 +9,7 @@ from sixthsense.cli.common import WithPriorMap, announce, live_view, parse_comma
 from sixthsense.cli.options import Options, UsageError, arg
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment
+from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment, is_configured_by_user
 
 
 @dataclass(frozen=True)
@@ -18,15 +18,22 @@ class OnNetwork(Options):
 
     domain: Annotated[int | None, arg("N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
-    interface: Annotated[str, arg("NAME")] = LOOPBACK
-    """Interface or address to join. By default that of this machine alone."""
+    interface: Annotated[str | None, arg("NAME[,..]")] = None
+    """Interfaces, or their addresses, to join. By default that of this machine alone."""
     peers: Annotated[str | None, arg("ADDRESS[,..]")] = None
     """Hosts of the robot, for networks without multicast."""
 
     def network(self) -> Network:
         """The network to join; InputError for what is not allowed, and for a missing Cyclone DDS."""
         domain = domain_of_environment() if self.domain is None else self.domain
-        network = Network(domain, self.interface, tuple(self.peers.split(",")) if self.peers else ())
+        stated = {"--interface": self.interface, "--peers": self.peers}
+        if is_configured := is_configured_by_user():
+            for option, value in stated.items():
+                if value is not None:
+                    raise UsageError(f"{option}: found with CYCLONEDDS_URI, allowed: one of the two")
+            announce("the network is joined as CYCLONEDDS_URI says")
+        interfaces, peers = (tuple(value.split(",")) if value else () for value in stated.values())
+        network = Network(domain, interfaces or (LOOPBACK,), peers, is_configured)
         check_installed()
         return network
 

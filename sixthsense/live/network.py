@@ -19,8 +19,10 @@ LOOPBACK = "127.0.0.1"
 LARGEST_MESSAGE_BYTES = 64 << 20
 """A larger message is dropped before it is put together from its packets."""
 
+_OWN_CONFIGURATION = "CYCLONEDDS_URI"
 _INTERFACE_NAME = re.compile(r"[A-Za-z0-9_.:-]{1,15}")
 _MOST_PARTICIPANTS = 32  # of a host, that are looked for at an address without multicast
+_ANNOUNCED_S = 1  # from one announcement of this program to the next
 _LARGEST_DOMAIN = 232
 _MOST_ENDPOINTS = 10_000  # of a network, that are looked at
 _ROS_TYPE = re.compile(r"(\w+)::(msg)::dds_::(\w+)_")
@@ -32,47 +34,60 @@ class Network:
 
     domain: int = 0
     """separates networks, 0 to 232"""
-    interface: str = LOOPBACK
-    """name or address of the network interface"""
+    interfaces: tuple[str, ...] = (LOOPBACK,)
+    """names or addresses of the network interfaces"""
     peers: tuple[str, ...] = ()
-    """addresses of hosts to ask for participants; without any, multicast finds them"""
+    """addresses of hosts to ask for participants, beside those that multicast finds"""
+    is_configured: bool = False
+    """whether CYCLONEDDS_URI has the user's own configuration, instead of interfaces and peers"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= _LARGEST_DOMAIN:
             raise NetworkError(f"--domain: found {self.domain}, allowed: 0 to {_LARGEST_DOMAIN}")
-        if not (_is_address(self.interface) or _INTERFACE_NAME.fullmatch(self.interface)):
-            found = f"--interface: found {shown(self.interface)}"
-            raise NetworkError(f"{found}, allowed: the name or the address of a network interface")
+        for interface in self.interfaces:
+            if not (_is_address(interface) or _INTERFACE_NAME.fullmatch(interface)):
+                found = f"--interface: found {shown(interface)}"
+                raise NetworkError(f"{found}, allowed: names or addresses of network interfaces")
+        if any(map(_is_loopback, self.interfaces)) and not self.is_loopback:
+            found = f"--interface: found {','.join(self.interfaces)}"
+            raise NetworkError(f"{found}, allowed: others without the loopback: they reach this machine, too")
         for peer in self.peers:
             if not _is_address(peer):
                 raise NetworkError(f"--peers: found {shown(peer)}, allowed: addresses such as 192.168.1.7")
             if self.is_loopback and not ipaddress.ip_address(peer).is_loopback:
-                found = f"--peers: found {peer} with --interface {self.interface}"
+                found = f"--peers: found {peer} with --interface {','.join(self.interfaces)}"
                 raise NetworkError(f"{found}, allowed: with the interface that leads there")
 
     @property
     def is_loopback(self) -> bool:
         """Whether no other machine takes part."""
-        return self.interface == "lo" or (
-            _is_address(self.interface) and ipaddress.ip_address(self.interface).is_loopback
-        )
+        return not self.is_configured and all(map(_is_loopback, self.interfaces))
 
     def xml(self) -> str:
-        """The configuration of Cyclone DDS."""
-        key = "address" if _is_address(self.interface) else "name"
-        peers = (LOOPBACK,) if self.is_loopback and not self.peers else self.peers
-        multicast = "false" if peers else "spdp"
-        listed = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in peers)
-        return (
-            "<CycloneDDS><Domain>"
-            f"<General><Interfaces><NetworkInterface {key}={quoteattr(self.interface)}/></Interfaces>"
-            f"<AllowMulticast>{multicast}</AllowMulticast></General>"
-            f"<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>{listed}</Peers>"
-            f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex></Discovery>"
-            f"<Internal><MaxSampleSize>{LARGEST_MESSAGE_BYTES} B</MaxSampleSize></Internal>"
-            "<Tracing><Verbosity>none</Verbosity></Tracing>"
-            "</Domain></CycloneDDS>"
+        """The configuration of Cyclone DDS; docs/howto/live.md says what its settings are for."""
+        interfaces = "".join(
+            f"\n    <NetworkInterface {'address' if _is_address(one) else 'name'}={quoteattr(one)}/>"
+            for one in self.interfaces
         )
+        peers = (LOOPBACK,) if self.is_loopback and not self.peers else self.peers
+        listed = "".join(f"\n    <Peer address={quoteattr(peer)}/>" for peer in peers)
+        return f"""<CycloneDDS><Domain>
+  <General>
+    <Interfaces>{interfaces}
+    </Interfaces>
+    <AllowMulticast>{"false" if self.is_loopback else "spdp"}</AllowMulticast>
+  </General>
+  <Discovery>
+    <SPDPInterval>{_ANNOUNCED_S} s</SPDPInterval>
+    <InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>
+    <ParticipantIndex>auto</ParticipantIndex>
+    <MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex>
+    <Peers>{listed}
+    </Peers>
+  </Discovery>
+  <Internal><MaxSampleSize>{LARGEST_MESSAGE_BYTES} B</MaxSampleSize></Internal>
+  <Tracing><Verbosity>none</Verbosity></Tracing>
+</Domain></CycloneDDS>"""
 
 
 def domain_of_environment() -> int:
@@ -81,6 +96,11 @@ def domain_of_environment() -> int:
     if not text.isascii() or not text.isdigit():
         raise NetworkError(f"ROS_DOMAIN_ID: found {shown(text)}, allowed: 0 to {_LARGEST_DOMAIN}")
     return int(text)
+
+
+def is_configured_by_user() -> bool:
+    """Whether CYCLONEDDS_URI has a configuration of Cyclone DDS."""
+    return bool(os.environ.get(_OWN_CONFIGURATION))
 
 
 def check_installed() -> None:
@@ -110,20 +130,26 @@ class Node:
     """A participant with its readers and writers. A context manager, which leaves the network at its end."""
 
     def __init__(self, network: Network) -> None:
-        """Join; NetworkError if the interface is not there or all places of the domain are taken."""
+        """Join; NetworkError if an interface is not there or all places of the domain are taken."""
         core, domain = dds("core"), dds("domain")
-        _check_interface(network.interface)
+        own = not network.is_configured
+        for interface in network.interfaces * own:
+            _check_interface(interface)
         before = _open_sockets()
+        self._entities: list[Any] = []
         try:
-            self._domain = domain.Domain(network.domain, network.xml())
+            if own:
+                self._entities.append(domain.Domain(network.domain, network.xml()))
             self._participant = domain.DomainParticipant(network.domain)
         except core.DDSException as error:
-            where = f"--interface {network.interface}, --domain {network.domain}"
-            raise NetworkError(f"{where}: cannot be joined ({error.msg}), allowed: an interface that is up") from None
+            where = f"--interface {','.join(network.interfaces)}" if own else _OWN_CONFIGURATION
+            allowed = "an interface that is up" if own else "a configuration of Cyclone DDS"
+            where = f"{where}, --domain {network.domain}"
+            raise NetworkError(f"{where}: cannot be joined ({error.msg}), allowed: {allowed}") from None
+        self._entities.append(self._participant)
         if network.is_loopback:
             _confine_to_loopback(_open_sockets() - before)
         self._waitset = core.WaitSet(self._participant)
-        self._entities: list[Any] = []
         self._announced: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
@@ -134,7 +160,7 @@ class Node:
 
     def close(self) -> None:
         """Leave the network, so that the others know it at once."""
-        for entity in [self._waitset, *reversed(self._entities), self._participant, self._domain]:
+        for entity in [self._waitset, *reversed(self._entities)]:
             entity.__del__()  # the only way that the binding offers; a second call does nothing
         self._entities = []
 
@@ -228,10 +254,13 @@ class Writer:
     def __init__(self, writer: Any, kind: Any) -> None:
         self._writer, self._kind = writer, kind
 
-    def send(self, data: bytes) -> None:
-        """Send a serialized message; it is lost if a reader that must confirm it lags behind."""
-        with contextlib.suppress(dds("core").DDSException):
+    def send(self, data: bytes) -> bool:
+        """Send a serialized message; false if it is lost, as where a reader that must confirm it lags behind."""
+        try:
             self._writer.write(self._kind.holding(data))
+        except dds("core").DDSException:
+            return False
+        return True
 
     @property
     def readers(self) -> int:
@@ -244,6 +273,10 @@ def _is_address(text: str) -> bool:
         return ipaddress.ip_address(text).version == 4
     except ValueError:
         return False
+
+
+def _is_loopback(interface: str) -> bool:
+    return interface == "lo" or (_is_address(interface) and ipaddress.ip_address(interface).is_loopback)
 
 
 def _check_interface(interface: str) -> None:
