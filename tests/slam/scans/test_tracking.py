@@ -1,0 +1,53 @@
+"""Which pose a scan is tracked at: what the wheels say against what it sees."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from rooms import scan_at, stored
+
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import between, compose
+from sixthsense.slam.scans.alignment import Prior, Views
+from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Usual, search, track
+
+FIRST, TRUE = Pose(-1.2, 0.7, 0.4), Pose(-0.9, 0.8, 0.6)
+USUAL = Usual(0.05, 0.6)
+
+
+def views_and_prior(scan: Scan, said: Pose, sigmas=(0.01, 0.01, 0.01)):
+    store = stored(scan_at(FIRST), scan)
+    prior = Prior(said.array(), np.diag(np.array(sigmas) ** -2.0), SLIP_SIGMAS)
+    return Views(store.returns, 1, np.array([0]), FIRST.array()[None]), prior
+
+
+def tracked(scan: Scan, said: Pose):
+    views, prior = views_and_prior(scan, said)
+    found = track(views, prior, said.array()[None], USUAL)
+    if not found.is_lost(USUAL):
+        return found
+    return max(found, search(views, prior, USUAL), key=lambda each: each.log_odds(USUAL))
+
+
+@pytest.mark.parametrize("slip", [(0.3, -0.1, 0.0), (-0.35, 0.25, 0.3)])
+def test_a_scan_that_fits_elsewhere_says_that_good_wheels_have_slipped(slip):
+    found = tracked(scan_at(TRUE), Pose.from_array(compose(TRUE.array(), np.array(slip))))
+    assert found.has_slipped and not found.is_lost(USUAL)
+    assert np.abs(between(found.pose, TRUE.array())) == pytest.approx(np.zeros(3), abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_scan_that_fits_nowhere_does_not_move_the_robot_from_where_good_wheels_say(seed):
+    true, rng = scan_at(TRUE), np.random.default_rng(seed)
+    clutter = true.ranges * rng.uniform(0.3, 0.8, len(true.ranges)).astype(np.float32)
+    found = tracked(dataclasses.replace(true, ranges=clutter), TRUE)
+    assert found.is_lost(USUAL) or np.abs(between(found.pose, TRUE.array())).max() < 0.06
+
+
+def test_nothing_is_said_against_wheels_where_nothing_is_seen():
+    true = scan_at(TRUE)
+    blank = dataclasses.replace(true, ranges=np.full_like(true.ranges, np.inf))
+    found = tracked(blank, TRUE)
+    assert not found.is_lost(USUAL) and not found.has_slipped
+    assert found.pose == pytest.approx(TRUE.array(), abs=1e-9)
