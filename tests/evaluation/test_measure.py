@@ -17,7 +17,6 @@ from sixthsense.evaluation.curves import curves
 from sixthsense.evaluation.effective import effective_number, whitened_errors
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.measured_run import MeasuredRun
-from sixthsense.evaluation.results import Metrics
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.log import Relations
 
@@ -289,10 +288,3 @@ def test_landmarks_have_what_their_kind_has():
         assert frame.loc[~rows, names].isna().all(axis=None)
     ends = [TRACE.records[i].extent.ravel() for i in (12, 14, 15)]
     np.testing.assert_array_equal(frame.loc[[12, 14, 15], ["from_x", "from_y", "to_x", "to_y"]], ends)
-
-
-def test_the_relative_errors_of_a_run_of_an_earlier_version_are_measured_from_its_record(found):
-    known = MeasuredRun("made", TRACE, Metrics({"ate_rmse_m": 0.7})).sample("made").metrics
-    assert known["ate_rmse_m"] == 0.7 and known["rpe_rot_deg_5m"] == found["rpe_rot_deg_5m"]
-    stated = MeasuredRun("made", TRACE, Metrics({"rpe_trans_m_1m": 0.3})).sample("made").metrics
-    assert dict(stated) == {"rpe_trans_m_1m": 0.3}

@@ -33,8 +33,7 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
-from sixthsense.slam import landmark_front_end
-from sixthsense.slam import slam as pipeline
+from sixthsense.slam import landmark_front_end, motion_source
 from sixthsense.slam.features import Features
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import load_scene
@@ -120,7 +119,7 @@ def scaled(what: str, factor: float) -> AbstractContextManager[object]:
         return mock.patch.object(
             landmark_front_end, "extract", partial(_scaled_observations, landmark_front_end.extract, factor)
         )
-    return mock.patch.object(pipeline, "odometry", partial(_scaled_odometry, pipeline.odometry, factor))
+    return mock.patch.object(motion_source, "odometry", partial(_scaled_odometry, motion_source.odometry, factor))
 
 
 def _scaled_observations(extract: Callable[..., Features], factor: float, scan: Scan, *rest: object) -> Features:
