@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.clocks import are_mirrored, clock_offset_s
+from sixthsense.sources.logs.clocks import LEAST_S, are_mirrored, clock_offset_s
 from sixthsense.sources.logs.log import longest_s, pose_between
 from sixthsense.sources.logs.stamps import passed_s, shown_span
+
+_AGREE_S = 1.0  # by which the offset by times of recording differs from that by turns: what messages take
 
 
 class Stamped(NamedTuple):
@@ -42,8 +44,9 @@ def one_clock(
 ) -> tuple[list[Stamped], list[Stamped]]:
     """Scans and odometry with stamps of one clock; a line on what was set right is added to the remarks.
 
-    If their clocks differ by a constant, the stamps are shifted that are farther from the times of recording. Raises
-    ValueError for two that share no time, and no turns that would tell by how much they differ.
+    If their clocks differ by a constant, scans are set back by what the times of recording say of it, if these are
+    farther from the stamps of scans; odometry is set right by the rest. Raises ValueError for two that share no time,
+    and no turns that would tell by how much they differ.
     """
     stamps = np.array([each.own_ns for each in odometry], dtype=np.int64)
     headings = np.array([each.value.theta for each in odometry if isinstance(each.value, Pose)])
@@ -60,19 +63,25 @@ def one_clock(
             raise ValueError(f"found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
         return list(scans), list(odometry)
     delays_s = [1e-9 * float(np.median([each.record_ns - each.own_ns for each in of])) for of in (scans, odometry)]
-    is_of_scans = abs(delays_s[0]) > abs(delays_s[1])
-    lead = "lead" if offset_s > 0.0 else "lag behind"
-    moved = f"scans are set {'back' if offset_s > 0.0 else 'ahead'}"
-    if not is_of_scans:
-        moved = f"odometry are set {'ahead' if offset_s > 0.0 else 'back'}"
-    remarks.append(
-        f"scans {lead} odometry by {abs(offset_s):.2f} s, by the turns that both see (other clocks?): "
-        f"the stamps of {moved} by that"
+    by_record_s = delays_s[1] - delays_s[0]
+    is_of_scans = abs(delays_s[0]) > abs(delays_s[1]) and abs(offset_s - by_record_s) < _AGREE_S
+    back_s = by_record_s if is_of_scans else 0.0
+    ahead_s = offset_s - back_s if abs(offset_s - back_s) >= LEAST_S else 0.0
+    shifts = (("scans", -back_s), ("odometry", ahead_s))
+    moved = " and ".join(
+        f"those of {name} {'ahead' if by_s > 0.0 else 'back'} by {abs(by_s):.2f} s" for name, by_s in shifts if by_s
     )
-    by_ns = round(1e9 * offset_s)
-    if is_of_scans:
-        return [each._replace(own_ns=each.own_ns - by_ns) for each in scans], list(odometry)
-    return list(scans), [each._replace(own_ns=each.own_ns + by_ns) for each in odometry]
+    lead = "lead" if offset_s > 0.0 else "lag behind"
+    remarks.append(
+        f"scans {lead} odometry by {abs(offset_s):.2f} s, by the turns that both see (other clocks?): stamps are set "
+        f"right, {moved}"
+    )
+    return _shifted(scans, -back_s), _shifted(odometry, ahead_s)
+
+
+def _shifted(stamped: Sequence[Stamped], by_s: float) -> list[Stamped]:
+    by_ns = round(1e9 * by_s)
+    return [each._replace(own_ns=each.own_ns + by_ns) for each in stamped]
 
 
 @dataclass(slots=True)
