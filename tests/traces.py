@@ -18,7 +18,7 @@ from sixthsense.record.trace import STAGES, Trace
 from sixthsense.slam.association.records import Association, MeanShape, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
-from sixthsense.slam.mapping.restore import restore_grid
+from sixthsense.slam.mapping.grid import Grid
 from sixthsense.sources.logs.log import Relations
 from sixthsense.sources.scene import Scene
 from sixthsense.sources.walking_space import ScriptedWalk
@@ -77,7 +77,7 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.outcome, trace.path_length_m, trace.wall_time_s = "explored in part", 17.25, 3.5
     trace.plans = [rng.normal(size=(k, 2)) for k in (3, 1, 2)]
     trace.plans_below_margin, trace.plans_by_astar, trace.guard_stops = 6, 8, 9
-    trace.culled, trace.walls_merged, trace.rebuilds = 13, 14, 15
+    trace.culled, trace.walls_merged = 13, 14
     trace.left = [UnseenPlace(1.5, -2.5, 0.75, "gave up"), UnseenPlace(-3.5, 4.5, 0.25, "unreachable")]
     trace.trajectory = np.array(poses_of(rng, keys))
     # 12 was seen and removed; 13 is of an earlier run and was not seen again.
@@ -96,7 +96,7 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     for counts in (hits, passes, seen):  # the map is cropped to what is known
         counts[:1], counts[:, :2], counts[:, -1:] = 0, 0, 0
     corner = (CONFIG.grid.cell_m * -3, CONFIG.grid.cell_m * 4)
-    trace.grid = restore_grid(CONFIG.grid, RADIUS_M, corner, hits.astype(np.int32), passes.astype(np.int32), seen)
+    trace.grid = Grid.from_counts(CONFIG.grid, RADIUS_M, corner, hits.astype(np.int32), passes.astype(np.int32), seen)
     return trace
 
 

@@ -201,15 +201,15 @@ class _MapDrawing:
 
     def show(self, tick: Tick, trace: Trace, plan: Array, tour: Array) -> None:
         """Move the artists to the trace's newest tick, with the plan and tour (N, 2) of then, world frame."""
-        live = trace.live
-        assert live is not None and trace.grid is not None
+        live, grid = trace.live, trace.draw_map()
+        assert live is not None and grid is not None
         pose = Pose.from_array(trace.estimates[-1])
         points, covs, extents = landmarks_of(trace)
         self._ellipses.set_verts([ellipse(mean, cov) for mean, cov in zip(points, covs, strict=True)])
         self._walls.set_segments(extents)
         shown = {"points": points, "plan": plan, "path": np.array(trace.estimates)[:, :2]}
         shown["heading"] = np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])])
-        parts, seen = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"], trace.grid.seen
+        parts, seen = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"], grid.seen
         if seen.any():
             parts.append(f"{np.count_nonzero(seen) * self._config.grid.cell_m**2:.0f} m² seen")
         if trace.key_estimates:
@@ -218,8 +218,8 @@ class _MapDrawing:
         if live.scan is not None:
             shown["returns"] = pose @ live.scan.points_robot[live.scan.ranges < live.scan.max_range]
         if self._region is not None:
-            cell_m, origin = self._config.grid.cell_m, trace.grid.origin
-            shown["frontiers"] = frontier_points(seen, trace.grid.obstacles, origin, cell_m, self._region)
+            cell_m, origin = self._config.grid.cell_m, grid.origin
+            shown["frontiers"] = frontier_points(seen, grid.obstacles, origin, cell_m, self._region)
         if len(tour):
             shown["tour"] = np.vstack([pose.position, tour[1:]])
         if trace.truths:

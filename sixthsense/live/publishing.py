@@ -60,13 +60,13 @@ class Publisher:
 
     def send_map(self, stamp_ns: int, trace: Trace) -> None:
         """Send the map, if there have been keyframes since the last time; one that is too large is not sent."""
-        if trace.grid is None or len(trace.key_stamps_ns) == self._drawn:
+        if len(trace.key_stamps_ns) == self._drawn or (grid := trace.draw_map()) is None:
             return
         self._sent_s, self._drawn = time.monotonic(), len(trace.key_stamps_ns)
-        cells = trace.grid.occupancy()
+        cells = grid.occupancy()
         if cells.size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES:
             return
-        message = self._messages.occupancy(stamp_ns, cells, trace.grid.origin, trace.config.grid.cell_m)
+        message = self._messages.occupancy(stamp_ns, cells, grid.origin, trace.config.grid.cell_m)
         self._map.send(self._messages.serialized(message, MAP.type))
 
     def _estimate(self, stamp_ns: int, pose: Pose, trace: Trace) -> bytes:

@@ -53,12 +53,13 @@ class Search:
 
     def __init__(self, trace: Trace, last: Tick, anew: Anew) -> None:
         """Begin with the map so far; `last` is the newest tick with a scan that the map has."""
-        assert trace.grid is not None
+        grid = trace.draw_map()
+        assert grid is not None
         self.anew = anew
         self._T_odom_map = last.odometry @ Pose.from_array(trace.estimates[-1]).inverse()
         T_map_stood = self._T_odom_map.inverse()
         expected = (T_map_stood, T_map_stood @ anew.T_stood_went)
-        self._relocalizer = Relocalizer(trace.grid.submap(), trace.config.grid, expected)
+        self._relocalizer = Relocalizer(grid.submap(), trace.config.grid, expected)
 
     @property
     def is_over(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ class Recorder:
         """Record into `trace`, which shows the plans and the map from now on."""
         self._trace, self._slam, self._pilot = trace, slam, pilot
         trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
-        trace.live = Live(slam.estimator, slam.associator.records, slam.associator)
+        trace.live = Live(slam.estimator, slam.associator.records, slam.associator, slam.draw_map)
         self._began = time.perf_counter()
 
     def __call__(self, tick: Tick, step: Step, command: Command) -> None:
@@ -115,7 +116,7 @@ class Recorder:
         result = self._slam.finish()
         trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
         trace.records = dict(result.landmark_records)
-        trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds
+        trace.culled, trace.walls_merged = result.culled, result.walls_merged
         trace.loop_closures, trace.links = result.loop_closures, result.links
         if result.wheels is not None:
             trace.wheels = result.wheels.with_sigmas()
@@ -196,7 +197,11 @@ def find_start(
         return NOWHERE if relocalizer.driven_m > MOST_DRIVEN_M else None if start is None else "located"
 
     pilot, clock = Pilot(navigator, Guard(config, radius_m)), Stopwatch()
-    with Slam(config, Pose(), radius_m=radius_m, clock=clock.stage) as slam, deferred_interrupt() as interrupted:
+    drives = navigator.plans_below_margin is not None
+    with (
+        Slam(config, Pose(), radius_m=radius_m, clock=clock.stage, draws_map=drives) as slam,
+        deferred_interrupt() as interrupted,
+    ):
         watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
         if config.max_time is not None:
             watchers.append(Deadline(config.max_time, "out of time"))
@@ -235,7 +240,7 @@ def recorded_drive(
 ) -> Trace:
     """Run the loop with recorder, hook, deadline and interrupt as watchers, and return the record."""
     config, clock = trace.config, trace.stopwatch
-    with _slam(start, trace, clock, prior) as slam:
+    with _slam(start, trace, pilot, prior) as slam:
         recorder = Recorder(trace, slam, pilot)
         with deferred_interrupt() as interrupted:
             watchers: list[Watcher] = [recorder]
@@ -250,16 +255,11 @@ def recorded_drive(
     return trace
 
 
-def _slam(start: Pose, trace: Trace, clock: Stopwatch, prior: PriorStart | None) -> Slam:
-    """SLAM from `start`, or from a prior map and the start in it."""
+def _slam(start: Pose, trace: Trace, pilot: Pilot, prior: PriorStart | None) -> Slam:
+    """SLAM from `start`, or from a prior map and the start in it; who plans nothing needs no map before the end."""
+    fields: dict[str, Any] = {"radius_m": trace.radius_m, "clock": trace.stopwatch.stage}
+    fields["draws_map"] = pilot.navigator.plans_below_margin is not None
     if prior is None:
-        return Slam(trace.config, start, radius_m=trace.radius_m, clock=clock.stage)
+        return Slam(trace.config, start, **fields)
     trace.prior_map = prior.note()
-    return Slam(
-        trace.config,
-        prior.pose or start,
-        start_cov=prior.cov,
-        radius_m=trace.radius_m,
-        clock=clock.stage,
-        prior_map=prior.map,
-    )
+    return Slam(trace.config, prior.pose or start, start_cov=prior.cov, prior_map=prior.map, **fields)

@@ -25,7 +25,6 @@ from sixthsense.slam.association.records import MeanShape, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.sources.logs.log import Relations
 
 _COUNTS = {"kinds": "kind", "observations": "observations", "first_scans": "first_scan", "last_scans": "last_scan"}
@@ -225,7 +224,7 @@ def read_grid(file: Path, config: Config, radius_m: float) -> Grid:
     with _loaded(file) as arrays:
         hits, passes = arrays["hits"].astype(np.int32), arrays["passes"].astype(np.int32)
         x, y = _floats(arrays, "origin", (2,)).tolist()
-        return restore_grid(config.grid, radius_m, (x, y), hits, passes, arrays["seen"].astype(np.bool_))
+        return Grid.from_counts(config.grid, radius_m, (x, y), hits, passes, arrays["seen"].astype(np.bool_))
 
 
 @contextlib.contextmanager

@@ -27,7 +27,7 @@ from sixthsense.sources.scene import Scene
 
 FILE = "record.jsonl"
 FORMAT = 1
-COUNTS = ("culled", "walls_merged", "rebuilds")
+COUNTS = ("culled", "walls_merged")
 """of the trace, in the last line"""
 COUNTS_OF_DRIVES = ("plans_below_margin", "plans_by_astar", "guard_stops")
 """the same, None for a log"""

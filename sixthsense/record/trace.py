@@ -96,6 +96,8 @@ class Live:
     """records of the landmarks in the estimate"""
     associator: Associator
     """the associator, whose inputs can be observed"""
+    draw_map: Callable[[], Grid]
+    """draws what is not in the map yet, as in a replay, and returns it"""
     scan: Scan | None = None
     """the last scan, deskewed; robot's frame"""
     features: Features | None = None
@@ -198,9 +200,7 @@ class Trace:
     relations: Relations | None = None
     """hand-checked relations, the reference of the trajectory's error"""
     grid: Grid | None = None
-    """the map"""
-    rebuilds: int = 0
-    """number of times that the map was redrawn after key poses moved"""
+    """the map; while a run goes on, as it was drawn last"""
     prior_map: Mapping[str, Any] | None = None
     """the prior map that the run began with: `name` and `digest`, `pose` if given, `pose_sigma`; None without one"""
     name: str = ""
@@ -209,6 +209,10 @@ class Trace:
     """current state of the loop, while it runs"""
     last_position: Array | None = None
     """(2,) position of the robot at the last tick, world frame: true, or by odometry for a log"""
+
+    def draw_map(self) -> Grid | None:
+        """The map with all keyframes so far: a replay draws none before its end, unless it is asked to."""
+        return self.grid if self.live is None else self.live.draw_map()
 
     def add_tick(self, tick: Tick, odometry: Pose, is_carried: bool = False) -> None:
         """Add the distance driven since the last tick, if the robot was not carried.

@@ -109,7 +109,8 @@ class Progress:
 
 def seen_area(trace: Trace) -> str:
     """How much is seen of the region; empty before the first scan. An exploration has no other measure of its end."""
-    area_m2 = 0.0 if trace.grid is None else trace.grid.seen_area_m2
+    grid = trace.draw_map()
+    area_m2 = 0.0 if grid is None else grid.seen_area_m2
     if area_m2 == 0.0:
         return ""
     region = trace.config.region or (trace.scene.region if trace.scene is not None else None)

@@ -94,8 +94,9 @@ def _warm_up_drive() -> Trace:
     extract(deskew(tick.scan), config.assumed, config.features, rng)
     mapper = Mapper(config.grid, 0.2)
     mapper.add(0, lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
-    mapper.grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
-    mapper.grid.compose([mapper.grid.submap()])
+    grid = mapper.draw()
+    grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
+    grid.compose([grid.submap()])
     _warm_up_choice()
     _keep_imports()
     return trace

@@ -58,8 +58,6 @@ class SlamResult:
     """landmarks removed"""
     walls_merged: int
     """walls merged into older duplicates"""
-    rebuilds: int
-    """times the grid was drawn again because key poses had moved"""
     since_key: Array | None = None
     """(S, 3) motion from the last keyframe to each scan, if it is known better now than when the scan was taken"""
     loop_closures: LoopClosureCounts | None = None

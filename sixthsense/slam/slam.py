@@ -58,11 +58,13 @@ class Slam:
         radius_m: float | None = None,
         clock: Clock = untimed,
         prior_map: PriorMap | None = None,
+        draws_map: bool = True,
     ) -> None:
         """Begin at `start`, `T_world_robot`, of covariance `start_cov` (3, 3), exactly known by default.
 
         `radius_m` is of the disc that the robot is, by default the configuration's. `clock(stage)` is entered around
         each stage, to measure its time. `prior_map` is of an earlier run in this building, in whose frame the start is.
+        Without `draws_map` keyframes are not drawn into the map before `draw_map` or `finish`, which saves time.
         Raises ConfigError for a configuration or start that it cannot be used with; the first scan raises PriorMapError
         if it does not fit the map.
         """
@@ -71,6 +73,7 @@ class Slam:
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self._radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M if radius_m is None else radius_m
         self.estimator = make_estimator(config.estimator, self._start, cov, config.isam2)
+        self._draws_map = draws_map
         self._mapper = Mapper(config.grid, self._radius_m, config.safety.body_m)
         records = None if prior_map is None else prior_map.fresh_records()
         self.associator = Associator(config.association, records, self._mapper.are_free)
@@ -154,8 +157,13 @@ class Slam:
 
     @property
     def grid(self) -> Grid:
-        """The map."""
+        """The map, as it was drawn last."""
         return self._mapper.grid
+
+    def draw_map(self) -> Grid:
+        """Draw the keyframes that are not in the map yet, and return it."""
+        with self._clock("grid"):
+            return self._mapper.draw()
 
     def estimate(self) -> Estimate:
         """Pose at the last keyframe (after `finish` at the last tick), its covariance, and the landmarks."""
@@ -190,7 +198,6 @@ class Slam:
                 self.associator.records,
                 self.associator.culled,
                 self.associator.walls_merged,
-                self._mapper.rebuilds,
                 finished.since_key,
                 self.loop_closures,
                 self.wheels(),
@@ -252,6 +259,8 @@ class Slam:
             gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, 2.0 * self._radius_m)
             walls = np.concatenate([walls, gaps])
         self._mapper.add(keyframe.index, self.trajectory, scan, walls, moving.standing_robot)
+        if self._draws_map:
+            self._mapper.draw()
 
 
 def make_front_end(

@@ -159,8 +159,8 @@ class Drawing:
         self._stream.disconnect()
 
     def _grid(self, trace: Trace) -> None:
-        known = known_cells(trace)
-        if known is None or trace.grid is None:
+        grid, known = trace.draw_map(), known_cells(trace)
+        if known is None or grid is None:
             return
         part, (left, _, bottom, _) = known
         image = np.select([part == 100, part == 0], [_OBSTACLE, _FREE], 0).astype(np.uint8)
@@ -168,7 +168,7 @@ class Drawing:
         if sent == self._cells:
             return
         self._cells = sent
-        grid, cell_m = trace.grid, trace.config.grid.cell_m
+        cell_m = trace.config.grid.cell_m
         place = self._rr.Transform3D(translation=[left, bottom, 0.0], scale=[cell_m, cell_m, 1.0])
         self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
         if trace.config.task == "explore" and trace.scene is not None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,38 +124,3 @@ class Changes:
             return Box(0, 0, 0, 0)
         tops, lefts, bottoms, rights = zip(*boxes, strict=True)
         return Box(min(tops), min(lefts), max(bottoms), max(rights))
-
-
-class Masks(NamedTuple):
-    """Masks of a grid, (H, W), read-only: snapshots are made of them without a copy."""
-
-    box: Box
-    revision: Revision
-    seen: NDArray[np.bool_]
-    covered: NDArray[np.bool_]
-    """by the inflation of an obstacle"""
-
-
-def masks_of(
-    part: Callable[[Literal["cover", "seen"], Box], NDArray[Any]],
-    changes: Changes,
-    box: Box,
-    reach: int,
-    drawn: Masks | None,
-) -> Masks:
-    """The masks of a box of cells, from those that were drawn before; `reach` is of the inflation.
-
-    `part` gives (H, W) what is kept of the cells in a box.
-    """
-    if drawn is not None and (drawn.box, drawn.revision) == (box, changes.revision):
-        return drawn
-    since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
-    if drawn is None or since is None:
-        seen, covered = part("seen", box), part("cover", box) > 0
-    else:
-        rows, cols = since.grown(reach).within((box.top, box.left), drawn.seen.shape)
-        changed = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
-        seen, covered = drawn.seen.copy(), drawn.covered.copy()
-        seen[rows, cols], covered[rows, cols] = part("seen", changed), part("cover", changed) > 0
-    seen.flags.writeable = covered.flags.writeable = False
-    return Masks(box, changes.revision, seen, covered)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,14 +16,24 @@ from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import MAX_CELLS, TILE, Box, Changes, Masks, box_of, cell_box, grown_box, masks_of
+from sixthsense.slam.mapping.changes import MAX_CELLS, TILE, Box, Changes, Revision, box_of, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, touched_squares
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
-from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamped
+from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, marked, stamped
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, Places, Tiles
 
 __all__ = ["FreeSpace", "Grid"]
+
+
+class Masks(NamedTuple):
+    """Masks of a grid, (H, W), read-only: snapshots are made of them without a copy."""
+
+    box: Box
+    revision: Revision
+    seen: Bools
+    covered: Bools
+    """by the inflation of an obstacle"""
 
 
 class Grid:
@@ -50,18 +60,45 @@ class Grid:
         """cells"""
         check_inflation(self._inflation)
         self._stencil = disc(self._inflation)
-        self._changes = Changes()
+        self.changes = Changes()
+        """where the evidence, or who stands in the way, has changed"""
         self._reach = int(self._stencil.max(initial=0))
         self._offsets: Places = self._stencil[:, 0] * ROW + self._stencil[:, 1]
         self.clear()
 
+    @classmethod
+    def from_counts(
+        cls, config: GridConfig, radius_m: float, origin: tuple[float, float], hits: Ints, passes: Ints, seen: Bools
+    ) -> Grid:
+        """The grid that has these counts: what `hits`, `passes`, `seen` and `origin` of another one said.
+
+        Obstacles and their inflation follow from the counts; scans may be added to it as to the other one. Raises
+        ValueError for arrays of different shapes and for an origin that is not finite.
+        """
+        if not hits.ndim == 2 or not hits.shape == passes.shape == seen.shape:
+            raise ValueError(f"counts: expected one shape (H, W), got {hits.shape}, {passes.shape} and {seen.shape}")
+        if not np.isfinite(origin).all():
+            raise ValueError(f"origin: found {origin}, allowed: finite numbers")
+        grid = cls(config, radius_m)
+        row, col = round(origin[1] / config.cell_m), round(origin[0] / config.cell_m)
+        grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
+        grid._tiles.cover(grid._box.grown(grid._reach))
+        kept = np.nonzero((hits > 0) | (passes > 0) | seen)
+        places = grid._make_room(np.stack([kept[0] + row, kept[1] + col], axis=1), hits[kept] > 0)
+        slots, cells = grid._tiles.slots(places), grid._cells
+        cells.hits[slots], cells.passes[slots], cells.seen[slots] = hits[kept], passes[kept], seen[kept]
+        mark_obstacles(cells, grid._tiles.index, grid._tiles.squares, grid._offsets, grid._rules)
+        return grid
+
     def clear(self) -> None:
-        """Remove all evidence, to rebuild the grid from stored scans."""
-        self._changes.add_all()
+        """Remove all evidence and all bodies, to rebuild the grid from stored scans."""
+        self.changes.add_all()
         self._box = Box(0, 0, 0, 0)
         self._scans = 0
         self._tiles, self._cells = Tiles(), Cells.empty(0)
-        self._drawn: Masks | None = None
+        self._bodies: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
+        """(N, 2) cells, row, col from the world's origin, of who stands in the way"""
+        self._masks: Masks | None = None
 
     def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> Box:
         """Count one scan taken at `T_world_robot`, and the (W, 2, 2) wall segments (robot frame, metres) fitted to it.
@@ -104,14 +141,14 @@ class Grid:
             self._box = before
             raise
         box = box_of(np.stack([low, high]) + np.array(self._tiles.first))
-        self._changes.add(box)
+        self.changes.add(box)
         self._scans += 1
         count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
         return box
 
     def submap(self) -> Submap:
         """The evidence of this grid, to compose another one."""
-        return submap_of(self._counted(), self._tiles)
+        return submap_of(self._cells, self._tiles)
 
     def compose(self, submaps: Sequence[Submap]) -> None:
         """Replace all evidence by that of submaps in the order of their scans."""
@@ -130,15 +167,33 @@ class Grid:
             add_submap(self._cells, self._tiles.index, places, submap, self._rules)
         mark_obstacles(self._cells, self._tiles.index, self._tiles.among(touched), self._offsets, self._rules)
         for box in boxes:
-            self._changes.add(box.aligned(TILE))
+            self.changes.add(box.aligned(TILE))
 
     def mark_seen(self, cells: NDArray[np.int64]) -> None:
         """Mark cells (N, 2), row, col from the world's origin, as seen."""
         if len(cells):
             self._grow(np.array([cells.min(axis=0), cells.max(axis=0)], dtype=np.float64))
-            self._changes.add_all()
+            self.changes.add_all()
             places = self._make_room(cells, np.zeros(len(cells), dtype=np.bool_))
             self._cells.seen[self._tiles.slots(places)] = True
+
+    def let_pass(self, T_world_robot: Pose, standing_robot: Array, body_m: float) -> None:
+        """Block the ways through bodies of a radius about returns (M, 2), robot's frame, in place of earlier ones.
+
+        They are inflated as obstacles are, and are none: they are no evidence.
+        """
+        self._cover_bodies(-1)
+        self._bodies = disc_cells(T_world_robot @ standing_robot, body_m, self._config.cell_m)
+        self._cover_bodies(1)
+
+    def _cover_bodies(self, count: int) -> None:
+        """Add a count to the inflation of the bodies."""
+        if len(self._bodies):
+            self._grow(self._bodies.astype(np.float64))
+            places = self._make_room(self._bodies, np.ones(len(self._bodies), dtype=np.bool_))
+            covered = self._tiles.slots((places[:, None] + self._offsets[None]).ravel())
+            np.add.at(self._cells.cover, covered, count)
+            self.changes.add(box_of(self._bodies))
 
     def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0, within: Ellipse | None = None) -> FreeSpace:
         """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.
@@ -149,8 +204,8 @@ class Grid:
         ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
         """
         cell_m = self._config.cell_m
-        drawn = self._draw_masks()
-        narrow = FreeSpace(drawn.covered, drawn.seen, self.origin, cell_m).covering(*points_world)
+        masks = self._whole_masks()
+        narrow = FreeSpace(masks.covered, masks.seen, self.origin, cell_m).covering(*points_world)
         if margin_m == 0.0:
             return narrow if within is None else narrow.between(within)
         if not margin_m < math.inf:
@@ -159,7 +214,7 @@ class Grid:
         check_inflation(inflation)
         stencil = disc(inflation)
         rim = max(int(stencil.max(initial=0)) - int(self._stencil.max()), 0)
-        seen = np.pad(drawn.seen, rim)
+        seen = np.pad(masks.seen, rim)
         seen.flags.writeable = False
         origin = self.origin[0] - rim * cell_m, self.origin[1] - rim * cell_m
         wide = FreeSpace(seen, seen, origin, cell_m).covering(*points_world)
@@ -183,22 +238,15 @@ class Grid:
         """(H, W) the cells of a box that the inflation of an obstacle covers, with a margin as of `free_space`."""
         stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
         reach = int(stencil.max(initial=0))
-        solid = self._solid(box.grown(reach))
+        around = box.grown(reach)
+        solid = self.part("obstacles", around)
+        if len(self._bodies):
+            solid |= marked(around, self._bodies)
         return np.asarray(stamped(solid, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
-
-    def _solid(self, box: Box) -> Bools:
-        """(H, W) the cells of a box that are inflated."""
-        return self.part("obstacles", box)
-
-    @property
-    def changes(self) -> Changes:
-        """Where the evidence has changed."""
-        self._counted()
-        return self._changes
 
     def part(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"], box: Box) -> NDArray[Any]:
         """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""
-        return self._tiles.part(getattr(self._counted(), name), box)
+        return self._tiles.part(getattr(self._cells, name), box)
 
     def unknown(self, cells: NDArray[np.int64]) -> Bools:
         """(N,) which of the cells (N, 2), row, col from the world's origin, are neither seen nor obstacles."""
@@ -226,7 +274,7 @@ class Grid:
     @property
     def seen_area_m2(self) -> float:
         """Area of the cells that are seen."""
-        return int(np.count_nonzero(self._counted().seen)) * self._config.cell_m**2
+        return int(np.count_nonzero(self._cells.seen)) * self._config.cell_m**2
 
     @property
     def obstacles(self) -> Bools:
@@ -236,13 +284,11 @@ class Grid:
     @property
     def box(self) -> Box:
         """The box of all cells that were seen, with their inflation and a rim, from the world's origin; it grows."""
-        self._counted()
         return self._box
 
     @property
     def origin(self) -> tuple[float, float]:
         """World x, y of the lower left corner of cell (0, 0), metres; it moves when the grid grows."""
-        self._counted()
         return self._box.left * self._config.cell_m, self._box.top * self._config.cell_m
 
     def occupancy(self) -> NDArray[np.int8]:
@@ -251,16 +297,26 @@ class Grid:
         occupancy[self.obstacles] = 100
         return occupancy
 
-    def _draw_masks(self) -> Masks:
-        """Seen cells and inflation of the whole map; kept, and drawn again where it has changed."""
-        self._counted()
+    def _whole_masks(self) -> Masks:
+        """Seen cells and inflation of the whole map; kept, and made again where it has changed."""
         self._check_size()
-        self._drawn = masks_of(self.part, self._changes, self._box, self._reach, self._drawn)
-        return self._drawn
+        box, old, revision = self._box, self._masks, self.changes.revision
+        if old is not None and (old.box, old.revision) == (box, revision):
+            return old
+        since = self.changes.since(old.revision) if old is not None and old.box == box else None
+        if old is None or since is None:
+            seen, covered = self.part("seen", box), self.part("cover", box) > 0
+        else:
+            rows, cols = since.grown(self._reach).within((box.top, box.left), old.seen.shape)
+            changed = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
+            seen, covered = old.seen.copy(), old.covered.copy()
+            seen[rows, cols], covered[rows, cols] = self.part("seen", changed), self.part("cover", changed) > 0
+        seen.flags.writeable = covered.flags.writeable = False
+        self._masks = Masks(box, revision, seen, covered)
+        return self._masks
 
     def _whole(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"]) -> NDArray[Any]:
         """(H, W) what is kept of all cells; InputError if they are more than 100 million."""
-        self._counted()
         self._check_size()
         return self.part(name, self._box)
 
@@ -283,10 +339,6 @@ class Grid:
         self._tiles.allocate(new)
         if count > len(self._cells.hits):
             self._cells = self._cells.extended(max(count, len(self._cells.hits) * 5 // 4))
-
-    def _counted(self) -> Cells:
-        """The cells for a reader; a subclass may count what is due before."""
-        return self._cells
 
     def _grow(self, cells: Array) -> None:
         """Make room for (N, 2) cells (row, col from the world's origin), their inflation and a rim of free cells."""

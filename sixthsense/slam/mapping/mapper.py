@@ -1,20 +1,19 @@
-"""The map of the keyframes at their present poses, in submaps, drawn when someone reads it."""
+"""The map of the keyframes at their present poses, in submaps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, box_of
-from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
+from sixthsense.slam.mapping.evidence import EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.inflation import disc, disc_cells, marked
+from sixthsense.slam.mapping.inflation import disc
 from sixthsense.slam.mapping.submap import Submap, weakened
 
 _NOTHING = np.zeros((0, 2))
@@ -22,71 +21,20 @@ SCANS_PER_SUBMAP = 10
 """Keyframes of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
 
 
-class DrawnGrid(Grid):
-    """A grid that is brought up to date when it is read."""
-
-    def __init__(self, config: GridConfig, radius_m: float, draw: Callable[[], None]) -> None:
-        """Make an empty grid; `draw` adds to it what is due."""
-        self._passing: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
-        super().__init__(config, radius_m)
-        self._draw: Callable[[], None] | None = draw
-
-    def _counted(self) -> Cells:
-        if self._draw is not None:
-            self._draw()
-        return self._cells
-
-    def let_pass(self, T_world_robot: Pose, standing_robot: Array, body_m: float) -> None:
-        """Block the ways through bodies of a radius about returns (M, 2), robot's frame, in place of earlier ones.
-
-        They are inflated as obstacles are, and are none: they are no evidence.
-        """
-        self._cover_passing(-1)
-        self._passing = disc_cells(T_world_robot @ standing_robot, body_m, self._config.cell_m)
-        self._cover_passing(1)
-
-    def _cover_passing(self, count: int) -> None:
-        """Add a count to the inflation of the bodies."""
-        if len(self._passing):
-            self._grow(self._passing.astype(np.float64))
-            places = self._make_room(self._passing, np.ones(len(self._passing), dtype=np.bool_))
-            covered = self._tiles.slots((places[:, None] + self._offsets[None]).ravel())
-            np.add.at(self._cells.cover, covered, count)
-            self._changes.add(box_of(self._passing))
-
-    def clear(self) -> None:
-        """Remove all evidence, and the bodies."""
-        super().clear()
-        self._passing = self._passing[:0]
-
-    def _solid(self, box: Box) -> Bools:
-        """Obstacles, and the bodies."""
-        obstacles = super()._solid(box)
-        return obstacles | marked(box, self._passing) if len(self._passing) else obstacles
-
-    def complete(self) -> None:
-        """Draw what is due for the last time."""
-        self._counted()
-        self._draw = None
-
-
 class Mapper:
-    """Keeps keyframes, and draws them into a grid when it is read.
+    """Keeps keyframes, and draws them into its grid when it is told to, as before a navigator looks at the map.
 
-    A keyframe that nobody looks at costs nothing. Where the grid was read since the last keyframe, as a navigator
-    reads it, the next one is drawn at once. When a keyframe that is drawn has moved by half a cell, its submap is drawn
-    again, and the tiles that it touches are composed of all submaps that touch them.
+    A keyframe that nobody looks at costs nothing until the end. When a keyframe that is drawn has moved by half a cell,
+    its submap is drawn again, and the tiles that it touches are composed of all submaps that touch them.
     """
 
     def __init__(self, config: GridConfig, radius_m: float, body_m: float = 0.0) -> None:
         """Begin with an empty grid for a robot that is a disc of `radius_m`; who stands there is `body_m` wide."""
         self._body_m = body_m
-        self.grid = DrawnGrid(config, radius_m, self._read)
-        self.rebuilds = 0
-        """number of times the grid was drawn again"""
+        self.grid = Grid(config, radius_m)
+        """the map as it was drawn last"""
         self._config, self._radius_m = config, radius_m
         self._tolerance_m = 0.5 * config.cell_m
-        self._is_read = False
         self._scans: list[tuple[Scan, Array]] = []
         self._mean_ranges: list[float] = []
         """mean range of each scan, m: the lever of its heading"""
@@ -136,16 +84,14 @@ class Mapper:
         returned = scan.ranges[scan.ranges < scan.max_range]
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
         self._trajectory = trajectory
-        if self._is_read:
-            self._is_read = False
-            self._draw()
 
     def are_free(self, points: Array, within_m: float) -> Bools:
         """(N,) whether the cells within a distance and a cell of points (N, 2), world frame, are seen and free."""
+        grid = self.draw()
         cell_m = self._config.cell_m
         around = np.floor(points / cell_m).astype(np.int64)[:, None, ::-1] + disc(within_m / cell_m + 1.0)[None]
         box = box_of(around.reshape(-1, 2))
-        is_free = self.grid.part("seen", box) & ~self.grid.part("obstacles", box)
+        is_free = grid.part("seen", box) & ~grid.part("obstacles", box)
         return np.asarray(is_free[around[..., 0] - box.top, around[..., 1] - box.left].all(axis=1))
 
     def complete(self, trajectory: Array) -> None:
@@ -155,10 +101,9 @@ class Mapper:
         self._trajectory = lambda: final
         if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
             self._clear()
-            self.rebuilds += 1
             self._drawn_at, self._boxes = np.zeros((0, 3)), []
             self._submaps = {}
-        self.grid.complete()
+        self.draw()
         self._let_pass(_NOTHING)
         if self._earlier is not None:
             self.grid.mark_seen(self._earlier.cells[self._earlier.seen])
@@ -168,27 +113,23 @@ class Mapper:
         """Remove the evidence of all scans of this run."""
         self.grid.compose(self._base)
 
-    def _read(self) -> None:
-        self._is_read = True
-        self._draw()
-
-    def _draw(self) -> None:
-        """Draw the scans that are due, and compose anew what those have changed that are drawn and have moved."""
+    def draw(self) -> Grid:
+        """Draw the scans that are due, compose anew what those have changed that are drawn and have moved; the grid."""
         drawn = len(self._drawn_at)
-        if drawn == len(self._scans):
-            return
+        if drawn == len(self._rows):
+            return self.grid
         poses = self._trajectory()[self._rows]
         shift = self._shift(poses[:drawn])
         moved = shift > self._tolerance_m
         if moved.any():
             self._redraw(moved, poses)
-            self.rebuilds += 1
         elif shift.any():
             self._draw_ahead()
         for k in range(drawn, len(poses)):
             self._boxes.append(self._add(self.grid, k, poses))
         self._drawn_at = np.vstack([self._drawn_at, poses[drawn:]])
         self._let_pass(self._standing_robot)
+        return self.grid
 
     def _let_pass(self, standing_robot: Array) -> None:
         """Block the way through those who stand in the newest keyframe, and no more through those who stood before."""

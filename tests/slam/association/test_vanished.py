@@ -32,7 +32,7 @@ def mapped(poses, scans, no_return_passes=True):
     """The map of scans at poses, which begins with the divider."""
     before, mapper = (Mapper(GridConfig(no_return_passes=no_return_passes), 0.2) for _ in range(2))
     before.add(0, lambda: AT.array()[None], seen(AT, DIVIDER), NOTHING)
-    mapper.start_from(before.grid.submap())
+    mapper.start_from(before.draw().submap())
     for k, scan in enumerate(scans):
         rows = np.array([pose.array() for pose in poses[: k + 1]])
         mapper.add(k, lambda rows=rows: rows, scan, NOTHING)

@@ -16,7 +16,6 @@ from sixthsense.slam.mapping.freespace import Ellipse
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.inflation import disc_cells, marked, too_near
 from sixthsense.slam.mapping.mapper import Mapper
-from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.mapping.submap import Submap, weakened
 
@@ -86,7 +85,7 @@ def test_cells_are_too_near_within_a_radius_of_an_obstacle():
 def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
     rng = np.random.default_rng(5)
     grid = looked(rng)
-    other = restore_grid(CONFIG, 0.11, grid.origin, grid.hits, grid.passes, grid.seen)
+    other = Grid.from_counts(CONFIG, 0.11, grid.origin, grid.hits, grid.passes, grid.seen)
     pose, scan = Pose(0.3, -0.2, 1.1), scattered(rng)
     for one in (grid, other):
         one.add(pose, scan, NO_WALLS)
@@ -96,7 +95,7 @@ def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
     for wrong in ({"hits": grid.hits[1:]}, {"origin": (math.nan, 0.0)}):
         counts = {"origin": grid.origin, "hits": grid.hits, "passes": grid.passes, "seen": grid.seen, **wrong}
         with pytest.raises(ValueError, match=r"allowed: finite numbers|expected one shape"):
-            restore_grid(CONFIG, 0.11, **counts)
+            Grid.from_counts(CONFIG, 0.11, **counts)
 
 
 def test_old_evidence_is_that_of_three_scans_with_the_same_obstacles_and_free_cells():
