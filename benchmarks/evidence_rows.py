@@ -68,7 +68,9 @@ class Row:
 ROWS = (
     Row("victoria", (), 1),
     Row("relations", ("intel",), 1, "intel/intel.clf.bz2"),
+    Row("relations", ("clinic",), 1, "clinic/clinic.bag"),
     Row("relations", ("fr079",), 1, "fr079/fr079.clf.bz2"),
+    Row("relations", ("aces",), 1, "aces/aces.clf.bz2"),
     *(
         Row("tour", (scene, estimator), 20)
         for estimator in ("isam2", "ekf-invariant", "ekf")
@@ -114,14 +116,15 @@ def relations_figures(setting: tuple[str, ...], seed: int) -> Figures:
     """`sixthsense replay LOG --relations FILE`, without another option; a log that needs one is "rejected"."""
     assert seed == 0
     name = setting[0]
-    log, relations = data_path(f"{name}/{name}.clf.bz2"), data_path(f"{name}/{name}.relations")
+    log = data_path(f"{name}/{name}.bag" if name == "clinic" else f"{name}/{name}.clf.bz2")
+    relations = data_path(f"{name}/{name}.relations")
     try:
         metrics, factor = times_real_time(
             preset("log"), True, lambda: ss.replay(log, relations=relations, progress=False)
         )
     except InputError:
         return {"outcome": "rejected"}
-    names = ("trans_m_mean", "trans_m_std", "rot_deg_mean", "rot_deg_std")
+    names = ("trans_m_mean", "trans_m_std", "trans_m_max", "rot_deg_mean", "rot_deg_std")
     figures = {name: metrics[f"relations_{name}"] for name in names}
     return figures | {"outcome": metrics["outcome"], "times_real_time": factor}
 
@@ -210,6 +213,7 @@ FIGURES: dict[Kind, tuple[Figure, ...]] = {
     "relations": (
         Figure("trans_m_mean", "translation, m", ".3f", "low"),
         Figure("trans_m_std", "its spread", ".3f", "low"),
+        Figure("trans_m_max", "largest, m", ".2f", "low"),
         Figure("rot_deg_mean", "rotation, °", ".2f", "low"),
         Figure("rot_deg_std", "its spread", ".2f", "low"),
         Figure("times_real_time", "times real time (processor)", ".0f"),

@@ -139,6 +139,8 @@ PUBLISHED = {
         "Intel Research Lab", "0.023 ± 0.024 m, 0.45°", "0.031 ± 0.026 m, 1.3°", "7.37 ± 14.3 m, 39°"
     ),
     "fr079": Log("Freiburg 079", "0.045 ± 0.035 m, 0.54°", "0.056 ± 0.042 m", "6.50 ± 13.7 m, 30°"),
+    "aces": Log("ACES, Austin", "0.038 ± 0.043 m, 0.37°", "0.044 ± 0.044 m", ""),
+    "clinic": Log("Freiburg clinic, 1.4 km", "0.108 ± 0.196 m", "0.143 ± 0.180 m", ""),
 }  # fmt: skip
 CIRCLE_PUBLISHED = "`ekf` 2.88 (200 runs)"
 """UKF-M's package (Brossard, Barrau and Bonnabel 2020)"""
@@ -192,7 +194,7 @@ def headline(rows: Rows) -> Lines:
         ["the same: pose NEES (3 is consistent)", ", ".join(mean(rows, tour, "nees") for tour in tours), ""],
         ["landmark circle: heading NEES (1 is consistent)", ", ".join(circle), CIRCLE_PUBLISHED],
         ["Victoria Park: graph error of `isam2` over GTSAM's", f"{gtsam:.4f}", ""],
-        ["replay of the two logs, times real time", " and ".join(speed), ""],
+        ["replay of these logs, times real time", ", ".join(speed), ""],
     ]
 
 
