@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log, Relations
 
 
+_LEAST_PERIOD_NS = 1000.0  # of scans: no laser is as fast
 _ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
 
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
@@ -167,8 +168,18 @@ def open_recorded(
         used = "used" if config.estimator == "isam2" else left
         notes.append(f"{closures} edges between earlier poses are loop closures, and are {used}")
     if config.no_odometry:
+        _check_time(log, opened)
         notes.append(WITHOUT_ODOMETRY)
     return Recorded(absolute(log).name, opened, config, given, files, tuple(notes))
+
+
+def _check_time(path: str | Path, log: Log) -> None:
+    """Raise LogError for scans whose stamps do not say how fast the robot moves, which has nothing else to say it."""
+    import numpy as np
+
+    stamps = [tick.stamp_ns for tick in log.ticks if tick.scan is not None]
+    if len(stamps) > 1 and float(np.median(np.diff(stamps))) < _LEAST_PERIOD_NS:
+        raise LogError(f"{path}: found scans whose stamps tell no time, allowed without odometry: stamps that do")
 
 
 def of_log(config: Config, log: Log) -> Config:

@@ -249,6 +249,11 @@ def test_stamps_that_tell_no_time_leave_odometry_as_it_is(stamp, said, tmp_path)
     assert any(said in note for note in notes) if said else not notes
 
 
+def test_stamps_that_tell_no_time_are_refused_without_odometry(tmp_path, complaint):
+    file = carmen(tmp_path / "a.log", lambda k: flaser(k, "0"))
+    assert "stamps tell no time" in complaint("replay", file, "--no-odometry", "--out", tmp_path / "out")
+
+
 def test_each_robotlaser_line_has_its_own_beams(tmp_path):
     def line(k):
         off = (0, 1, 3, 2)[k % 4]
