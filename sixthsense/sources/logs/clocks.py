@@ -13,7 +13,7 @@ from sixthsense.core.laser import Scan, sweep_ns
 
 MOST_S = 120.0
 """Largest offset that is searched."""
-LEAST_S = 0.08
+_LEAST_S = 0.08
 """Smaller offsets are those of sensors: what a scan takes, and what a driver waits."""
 _PAIRS, _APART_S, _LONGEST_S = 1000, 0.2, 2.0  # pairs of scans that are compared, and the time between the two
 _BINS = 180  # of bearings, around a full turn
@@ -44,7 +44,7 @@ class Turns:
 
 
 def clock_offset_s(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.int64], headings: Array) -> float | None:
-    """Seconds by which the stamps of scans lead those of odometry; 0 below `LEAST_S`, None where it is not sure.
+    """Seconds by which the stamps of scans lead those of odometry; 0 below `least_s`, None where it is not sure.
 
     `scans` have stamps, ns, of their first beams; `odometry_ns` (N,) ascends, `headings` (N,) rad. An offset is sure if
     it explains most of what the scans say of turns, clearly more than any other offset.
@@ -69,7 +69,12 @@ def clock_offset_s(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.in
     offset_s = float(fine[np.argmin(errors)])
     without, within = float(left(np.zeros(1))[0]), max(float(errors.min()), 1e-9)
     is_likelier = 0.5 * len(found.turns) * np.log(without / within) > _LIKELIER
-    return offset_s if abs(offset_s) >= LEAST_S and is_likelier else 0.0
+    return offset_s if abs(offset_s) >= least_s(odometry_ns) and is_likelier else 0.0
+
+
+def least_s(odometry_ns: NDArray[np.int64]) -> float:
+    """The smallest offset that is set right: between two records of odometry nothing says when the robot turned."""
+    return max(_LEAST_S, 1e-9 * float(np.median(np.diff(odometry_ns))))
 
 
 def are_mirrored(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.int64], headings: Array) -> bool:

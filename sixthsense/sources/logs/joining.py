@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.clocks import LEAST_S, are_mirrored, clock_offset_s
+from sixthsense.sources.logs.clocks import are_mirrored, clock_offset_s, least_s
 from sixthsense.sources.logs.log import longest_s, pose_between
 from sixthsense.sources.logs.stamps import passed_s, shown_span
 
@@ -66,7 +66,7 @@ def one_clock(
     by_record_s = delays_s[1] - delays_s[0]
     is_of_scans = abs(delays_s[0]) > abs(delays_s[1]) and abs(offset_s - by_record_s) < _AGREE_S
     back_s = by_record_s if is_of_scans else 0.0
-    ahead_s = offset_s - back_s if abs(offset_s - back_s) >= LEAST_S else 0.0
+    ahead_s = offset_s - back_s if abs(offset_s - back_s) >= least_s(stamps) else 0.0
     shifts = (("scans", -back_s), ("odometry", ahead_s))
     moved = " and ".join(
         f"those of {name} {'ahead' if by_s > 0.0 else 'back'} by {abs(by_s):.2f} s" for name, by_s in shifts if by_s
