@@ -7,6 +7,10 @@
   compared with that of a robot which drives to the nearest frontier (`nearest_frontier.py`).
 - `large`: the default configuration in large buildings. Navigation is what views, plans and paths take of a keyframe,
   times real time is of the whole run, both by processor time.
+- `houses`: floor plans of houses under SIXTHSENSE_DATA, each with its own seed; the travel is compared as with
+  `perfect`, though this robot does not know its pose. Alone it takes ten minutes.
+- `laser`: robots of any size and speed with narrow, short-sighted, slow, sparse and sweeping lasers in generated
+  worlds; they have to end within ten times the time that the nearest frontiers' way takes.
 - `door`: two rooms of 4 m and one door that is hardly wider than the robot, a disc of 0.4 m: in a thin or a thick wall,
   at an angle to the cells of the map. A narrow door is closed by the clearance alone; the robot tries it when nothing
   else is left.
@@ -14,6 +18,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import itertools
 import math
@@ -25,7 +30,8 @@ from typing import Any
 
 import numpy as np
 from asked import Case, Found, Line, code_of, line, parsed, resumable, tabulate
-from harness import Figures, arguments, run_by_processor
+from generated_worlds import odd_robot
+from harness import Figures, arguments, data_path, run_by_processor
 from nearest_frontier import nearest_frontier_travel
 from worlds import plan, plans_at_hand, world
 
@@ -34,10 +40,13 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.running.runs import QUIET, simulate
 from sixthsense.sources.scene import Scene
 
+_SLACK_S = 120.0  # for turns, where the travel that a run is allowed is short
 CODE = code_of("asked", "explored_worlds", "generated_worlds", "harness", "nearest_frontier", "worlds")
 """what the figures depend on"""
 
-FIRST_SEED, DOOR_SEEDS = 1000, 3
+FIRST_SEED, DOOR_SEEDS, HOUSE_SEED, LASER_SEEDS = 1000, 3, 7000, 40
+LEAST_HOUSE_M = 3.0
+"""of travel of a house that is compared"""
 SHIPPED = ("rectangle", "block", "apartment", "office", "loop")
 LARGE = {
     "willow": (28.85, 26.65, 0.0), "kth_50037765_PLAN3": (130.0, 27.8, 0.0),
@@ -71,6 +80,15 @@ def begin(name: str, seed: int = FIRST_SEED) -> tuple[float, ...]:
     return tuple(start.array().tolist())
 
 
+def houses() -> dict[str, tuple[float, ...]]:
+    """Where the robot begins in each house, m and rad; none without the data."""
+    file = data_path("houses/starts.csv")
+    if not file.exists():
+        return {}
+    with file.open() as lines:
+        return {row["name"]: tuple(float(row[k]) for k in ("x_m", "y_m", "theta_rad")) for row in csv.DictReader(lines)}
+
+
 def cases() -> list[Case]:
     """All runs; about the longest first, so that processes end together."""
     plans = plans_at_hand()
@@ -81,6 +99,8 @@ def cases() -> list[Case]:
     return [
         *large,
         *perfect,
+        *(Case("houses", (name,), HOUSE_SEED + k) for k, name in enumerate(houses())),
+        *(Case("laser", (), FIRST_SEED + k) for k in range(LASER_SEEDS)),
         *(Case("door", (f"{w}", f"{angle}", face), FIRST_SEED + k) for w, angle, face, k in doors),
     ]
 
@@ -90,7 +110,13 @@ def figures_of(case: Case) -> Figures:
     if case.kind == "door":
         wider, angle, face = case.setting
         return door_figures(float(wider), float(angle), face, case.seed)
+    if case.kind == "laser":
+        return laser_figures(case.seed)
     name = case.setting[0]
+    if case.kind == "houses":
+        config = preset("default", task="explore", seed=case.seed)
+        scene = str(data_path(f"houses/{name}.yaml"))
+        return explored(dataclasses.replace(config, scene=scene, start=houses()[name]))
     scene = name if name in SHIPPED else plan(name)
     config = preset("default", estimator="ekf-invariant", task="explore", seed=case.seed)
     if case.kind == "large":
@@ -149,6 +175,20 @@ def door_figures(wider_m: float, angle_rad: float, face: str, seed: int) -> Figu
     return {"passed": int(passed), "collisions": touched, "home_m": home_m, "coverage": metrics["coverage"]}
 
 
+def laser_figures(seed: int) -> Figures:
+    """Explore a generated world with an odd robot."""
+    family, laser, fields = odd_robot(seed)
+    config = preset("default", task="explore", seed=seed, **fields)
+    scene = world(family, seed, 80.0, config.robot.speed)
+    reference_m = nearest_frontier_travel(config, 0.95, scene)
+    limit_s = 10.0 * (0.0 if math.isnan(reference_m) else reference_m) / config.robot.speed + _SLACK_S
+    metrics = simulate(dataclasses.replace(config, max_time=limit_s), scene, watch=QUIET).metrics
+    return {
+        "outcome": metrics["outcome"], "laser": laser, "collisions": metrics["collisions"],
+        "coverage": metrics["coverage"], "travel_m": metrics["path_length_m"], "reference_m": reference_m,
+    }  # fmt: skip
+
+
 def over_reference(found: Sequence[Figures]) -> list[float]:
     """The travel of each run over that of nearest frontiers, where there is any to speak of."""
     return [row["travel_m"] / row["reference_m"] for row in found if row["reference_m"] > _LEAST_M]
@@ -169,6 +209,12 @@ def lines(found: Found) -> Iterator[Line]:
         runs = [found.get(Case("large", (name,), FIRST_SEED).key)]
         yield line(f"large, {name}", asked, runs, partial(_large, bool(asked)))
         yield line(f"large, {name}", "navigation p99 <= 33 ms, >= 15 x real time", runs, _speed)
+    runs = [found.get(case.key) for case in cases() if case.kind == "houses"]
+    yield line("houses, travel over nearest frontier", "sum <= 0.97, worst <= 1.6", runs, _houses)
+    yield line("houses", "0 touches, coverage >= 0.997 where all is explored", runs, _house_views)
+    yield line("houses", "navigation p99 <= 25 ms", runs, _house_speed)
+    runs = [found.get(case.key) for case in cases() if case.kind == "laser"]
+    yield line("narrow and short-sighted lasers", "0 touches, 38 of 40 end", runs, _lasers)
     for wider in WIDER_M:
         runs = [found.get(case.key) for case in cases() if case.kind == "door" and case.setting[0] == f"{wider}"]
         yield line(f"door {wider} m wider than the robot", "0 touches, home within 0.2 m", runs, _door)
@@ -207,6 +253,30 @@ def _speed(runs: Sequence[Figures]) -> tuple[str, bool]:
     (row,) = runs
     shown = f"p99 {row['plan_ms_p99']:.0f} ms, {row['times_real']:.0f} x real time"
     return shown, row["plan_ms_p99"] <= 33.0 and row["times_real"] >= 15.0
+
+
+def _houses(runs: Sequence[Figures]) -> tuple[str, bool]:
+    compared = [row for row in runs if row["reference_m"] > LEAST_HOUSE_M]
+    total = sum(row["travel_m"] for row in compared) / sum(row["reference_m"] for row in compared)
+    worst = max(row["travel_m"] / row["reference_m"] for row in compared)
+    return f"sum {total:.2f}, worst {worst:.2f} of {len(compared)} houses", total <= 0.97 and worst <= 1.6
+
+
+def _house_views(runs: Sequence[Figures]) -> tuple[str, bool]:
+    touched = sum(row["collisions"] for row in runs)
+    whole = [row["coverage"] for row in runs if row["outcome"] == "explored"]
+    shown = f"{touched} touches, {len(whole)} of {len(runs)} explored, coverage {min(whole):.4f} or more of these"
+    return shown, touched == 0 and min(whole) >= 0.997
+
+
+def _house_speed(runs: Sequence[Figures]) -> tuple[str, bool]:
+    p99_ms = [row["plan_ms_p99"] for row in runs]
+    return f"median {np.median(p99_ms):.0f} ms, worst {max(p99_ms):.0f} ms", max(p99_ms) <= 25.0
+
+
+def _lasers(runs: Sequence[Figures]) -> tuple[str, bool]:
+    touched, ended = sum(row["collisions"] for row in runs), sum("explored" in row["outcome"] for row in runs)
+    return f"{touched} touches, {ended} of {len(runs)} ended", touched == 0 and ended >= 0.95 * len(runs)
 
 
 def _door(runs: Sequence[Figures]) -> tuple[str, bool]:

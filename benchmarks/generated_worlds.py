@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -203,6 +204,27 @@ def _narrow(rng: np.random.Generator) -> tuple[Array, Array]:
     """Doors of 0.62 to 0.75 m."""
     outer, inner = _building(rng, door=(0.62, 0.75))
     return np.array(outer + inner), _NONE
+
+
+LASERS: dict[str, dict[str, Any]] = {
+    "full circle": {},
+    "quarter": {"fov": 0.5 * math.pi, "beams": 90},
+    "half": {"fov": math.pi, "beams": 180},
+    "short": {"max_range": 3.0},
+    "slow": {"period_ticks": 10},
+    "sparse": {"beams": 60},
+    "sweeping": {"sweep_s": 0.1},
+}
+"""what a robot's laser is like that is not the default"""
+_ODD_FAMILIES = "bends", "steps", "curves", "thick", "clutter", "pillars", "doors"
+
+
+def odd_robot(seed: int) -> tuple[str, str, dict[str, Any]]:
+    """A family of worlds, a name of `LASERS`, and the configuration of a robot with it, of any size and speed."""
+    rng = np.random.default_rng([seed, 63])
+    family, laser = str(rng.choice(_ODD_FAMILIES)), sorted(LASERS)[seed % len(LASERS)]
+    robot = {"radius": float(rng.uniform(0.12, 0.35)), "speed": float(rng.uniform(0.3, 1.0))}
+    return family, laser, {"robot": robot, "laser": LASERS[laser]}
 
 
 _NONE = np.zeros((0, 2, 2))

@@ -23,16 +23,19 @@ from sixthsense.navigation.gridsearch.prices import STRAIGHT
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.sources.mission import mission
-from sixthsense.sources.scene import load_scene
+from sixthsense.sources.scene import Scene, load_scene
 
 CELL_M = 0.1
 Mask = NDArray[np.bool_]
 Cell = tuple[int, int]
 
 
-def nearest_frontier_travel(config: Config, share: float) -> float:
-    """Length, m, of a way by nearest frontiers that shows a share of the visible area, and home; NaN if none does."""
-    scene = load_scene(config.scene, config.map_unknown)
+def nearest_frontier_travel(config: Config, share: float, scene: Scene | None = None) -> float:
+    """Length, m, of a way by nearest frontiers that shows a share of the visible area, and home; NaN if none does.
+
+    The scene is that of the configuration, unless it is given.
+    """
+    scene = scene or load_scene(config.scene, config.map_unknown)
     _, start, _, radius_m, _ = mission(scene, config)
     region = config.region or scene.region
     area = visible_area(scene.walls, region, (start.x, start.y), radius_m, config.laser.max_range, CELL_M)

@@ -78,7 +78,7 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.plans = [rng.normal(size=(k, 2)) for k in (3, 1, 2)]
     trace.plans_below_margin, trace.plans_by_astar, trace.guard_stops = 6, 8, 9
     trace.culled, trace.walls_merged = 13, 14
-    trace.left = [UnseenPlace(1.5, -2.5, 0.75, "gave up"), UnseenPlace(-3.5, 4.5, 0.25, "unreachable")]
+    trace.left = [UnseenPlace(1.5, -2.5, 0.75, "gave up"), UnseenPlace(-3.5, 4.5, 0.25, "unreachable", 0.35)]
     trace.trajectory = np.array(poses_of(rng, keys))
     # 12 was seen and removed; 13 is of an earlier run and was not seen again.
     ids, walls = np.array([7, 4, 13, 11], dtype=np.int64), np.array([True, False, False, False])

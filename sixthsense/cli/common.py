@@ -200,7 +200,8 @@ def _left(run: Run) -> Iterator[tuple[str, str]]:
     """How much an exploration has left unseen."""
     if left := run.trace.left:
         places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
-        yield "left unseen", f"{places}, the largest {left[0].reason}; places_left.csv lists them"
+        gap = "" if left[0].gap_m is None else f" behind a gap of {left[0].gap_m:.2f} m"
+        yield "left unseen", f"{places}, the largest {left[0].reason}{gap}; places_left.csv lists them"
 
 
 def _files(run: Run) -> Iterator[tuple[str, str]]:
@@ -214,4 +215,5 @@ def _files(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def _described(place: UnseenPlace) -> str:
-    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m², {place.reason}"
+    gap = "" if place.gap_m is None else f" behind a gap of {place.gap_m:.2f} m"
+    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m², {place.reason}{gap}"

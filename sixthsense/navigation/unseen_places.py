@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -12,7 +13,7 @@ from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.regions import frontier_cells, in_large_regions
 from sixthsense.navigation.view_planner import Candidates, ViewPlanner
-from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import too_near
@@ -36,6 +37,9 @@ class UnseenPlace:
     """gave up: visible from where the robot can drive; it looked and did not see it; cut off by inflation only: visible
     from where it could drive if it might touch obstacle cells; unreachable: visible from where it would fit but cannot
     get to"""
+    gap_m: float | None = None
+    """how wide the narrowest gap on the widest way there is, as it is drawn, cells thick; None where it can be reached,
+    or where none was seen"""
 
 
 def as_reason(text: str) -> Reason:
@@ -71,11 +75,13 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
     }
     hidden = unseen.copy()
     visible = {reason: np.zeros_like(hidden) for reason in viewpoints}
+    seen_from: dict[Reason, list[Cell]] = {reason: [] for reason in viewpoints}
     for centre in map(centre_cell, clusters):
         for reason, allowed in viewpoints.items():
             cell = allowed.nearest(centre)
             if cell is not None and planner.gain.shown(hidden, cell, centre) > 0:
                 mark_visible(visible[reason], view.opaque, hidden, *cell, reach)
+                seen_from[reason].append(cell)
                 break
     places = []
     for reason, mask in visible.items():
@@ -83,13 +89,29 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
         hidden &= ~mask
         for k, box in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[box] == k + 1) + np.array([span.start for span in box])
-            x, y = view.point(*centre_cell(cells))
-            places.append(UnseenPlace(float(x), float(y), len(cells) * view.cell_m**2, reason))
+            centre = centre_cell(cells)
+            x, y = view.point(*centre)
+            gap_m = None
+            if reason != "gave up":
+                nearest = min(seen_from[reason], key=lambda cell: math.dist(cell, centre))
+                gap_m = _gap_m(planner, nearest)
+            places.append(UnseenPlace(float(x), float(y), len(cells) * view.cell_m**2, reason, gap_m))
     places.sort(key=lambda place: -place.area_m2)
     small = sum(place.area_m2 for place in places if place.area_m2 < explore.least_area_m2)
     if small > _SMALL_PLACES_FRACTION * np.count_nonzero(view.seen) * view.cell_m**2:
         return places
     return [place for place in places if place.area_m2 >= explore.least_area_m2]
+
+
+def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:
+    """How wide the narrowest gap is on the widest way from the cells in reach to another one, m; None without a way."""
+    view = planner.view
+    away = ndimage.distance_transform_edt(~view.obstacles) * view.free  # cells, to the nearest obstacle's centre
+    for half in np.unique(away[(away > 0.0) & (away <= away[cell])])[::-1]:
+        parts, _ = ndimage.label(away >= half, np.ones((3, 3)))
+        if (parts[planner.reachable & (parts > 0)] == parts[cell]).any():
+            return float(2.0 * half - 1.0) * view.cell_m
+    return None
 
 
 def _viewpoints(planner: ViewPlanner) -> dict[Reason, Bools]:

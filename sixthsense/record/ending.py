@@ -68,11 +68,11 @@ def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:
 
 
 def write_places_left(file: Path, trace: Trace) -> None:
-    """Write the unseen places of an exploration, the largest first: x and y in m, area in m^2, and the reason."""
+    """Write the unseen places of an exploration, the largest first; in m and m^2."""
     with whole(file) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
-        writer.writerow(["x", "y", "area_m2", "reason"])
-        writer.writerows([place.x, place.y, place.area_m2, place.reason] for place in trace.left)
+        writer.writerow(["x", "y", "area_m2", "reason", "gap_m"])
+        writer.writerows([place.x, place.y, place.area_m2, place.reason, place.gap_m] for place in trace.left)
 
 
 LANDMARK_COLUMNS = (

@@ -167,7 +167,10 @@ def _take_end(table: Line, trace: Trace) -> None:
     if table["last_position"] is not None:
         trace.last_position = _array(table, "last_position", (2,))
     trace.stopwatch.totals |= _times(table, "total_ms")
-    trace.left = [UnseenPlace(float(x), float(y), float(m2), as_reason(why)) for x, y, m2, why in table["left"]]
+    trace.left = [
+        UnseenPlace(float(x), float(y), float(m2), as_reason(why), None if gap_m is None else float(gap_m))
+        for x, y, m2, why, gap_m in table["left"]
+    ]
     for name in COUNTS:
         setattr(trace, name, _whole(table, name))
     for name in COUNTS_OF_DRIVES:

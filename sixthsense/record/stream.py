@@ -183,7 +183,7 @@ def _end_line(trace: Trace) -> Line:
         "path_length_m": trace.path_length_m,
         "last_position": None if last_position is None else last_position.tolist(),
         "total_ms": trace.stopwatch.totals,
-        "left": [[place.x, place.y, place.area_m2, place.reason] for place in trace.left],
+        "left": [[place.x, place.y, place.area_m2, place.reason, place.gap_m] for place in trace.left],
         **{name: getattr(trace, name) for name in (*COUNTS, *COUNTS_OF_DRIVES)},
         "loop_closures": None if trace.loop_closures is None else trace.loop_closures._asdict(),
         **({} if trace.wheels is None else {"wheels": trace.wheels.tolist()}),

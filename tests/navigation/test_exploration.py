@@ -127,8 +127,9 @@ def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path:
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
     made = explored(tmp_path, two_rooms(0.3))
     assert made.outcome == "explored in part"
-    assert made.trace.left[0].reason == "unreachable"
-    assert made.trace.left[0].x > 4.0
+    left = made.trace.left[0]
+    assert left.reason == "unreachable" and left.x > 4.0
+    assert left.gap_m is None or 0.15 <= left.gap_m <= 0.35  # two cells of the jambs may be drawn in it
 
 
 def test_a_scene_that_is_not_closed_is_explored_within_the_region_and_its_margin(tmp_path: Path) -> None:
@@ -190,7 +191,8 @@ def test_the_command_explores_by_default_and_records_unseen_places(
     Path("scene.toml").write_text(two_rooms(0.3))
     assert cli.main(["run", "scene.toml", "--out", "run", "--features.landmarks", "both"]) == cli.DONE
     out = capsys.readouterr().out
-    assert re.search(r"\nleft unseen +\d places?, \S+ m², the largest unreachable; places_left.csv lists them\n", out)
+    said = r"\nleft unseen +\d places?, \S+ m², the largest unreachable( behind a gap of \S+ m)?; places_left.csv "
+    assert re.search(said, out)
     metrics = json.loads(Path("run/metrics.json").read_text())
     assert metrics["outcome"] == "explored in part"
     with Path("run/places_left.csv").open() as file:

@@ -192,8 +192,11 @@ def test_tables_of_landmarks_have_each_number_in_its_column(rng: np.random.Gener
     assert arrays["kinds"].tolist() == [trace.records[i].kind for i in trace.final.ids.tolist()]
     assert arrays["mean"].tolist() == [*trace.final.pose.array(), *trace.final.landmarks.ravel()]
     assert np.array_equal(arrays["covariance"], trace.joint_cov)
-    assert places[1:] == [[str(p.x), str(p.y), str(p.area_m2), p.reason] for p in trace.left]
-    assert places[0] == ["x", "y", "area_m2", "reason"]
+    gaps = ["" if p.gap_m is None else str(p.gap_m) for p in trace.left]
+    assert places[1:] == [
+        [str(p.x), str(p.y), str(p.area_m2), p.reason, g] for p, g in zip(trace.left, gaps, strict=True)
+    ]
+    assert places[0] == ["x", "y", "area_m2", "reason", "gap_m"]
 
 
 @few
