@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
+from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.exploration_task import AreaToSee, Counts, Region
 from sixthsense.navigation.frontier import close_gaps, close_unseen_gaps, dilated
 from sixthsense.navigation.gridsearch import Reached, far_from
@@ -79,7 +80,9 @@ class MapView:
         self._sight_margin = round(0.5 * self.radius)  # that lines of sight keep off obstacles
         inflation = math.ceil((radius_m + config.grid.clearance_m) / cell_m) + 1
         self._width = math.floor(2.0 * self.radius)
-        closing = 2 + self._width  # cells; how far a closing by 3 x 3 cells, and then of gaps, carries a change
+        spacing = abs(float(np.subtract(*beam_bearings(config.laser)[:2])))
+        self._between_beams = min(math.floor(spacing * config.laser.max_range / cell_m), self._width)
+        closing = 2 + 2 * self._width  # cells; how far a closing by 3 x 3 cells, and then of gaps, carries a change
         self._spread = max(inflation, self._unknown_reach, self._sight_margin + closing, self._area.narrow_outside)
         self._revision: Revision | None = None
         self._due = _NOWHERE  # where views are to be drawn again
@@ -288,7 +291,7 @@ class MapView:
         opaque = closed = close_unseen_gaps(close_gaps(self.grid.part("obstacles", outer) | wall), seen, self._width)
         for _ in range(self._sight_margin):
             opaque = dilated(opaque)
-        unknown = ~(seen | closed)
+        unknown = ~close_unseen_gaps(seen | closed, seen, self._between_beams)
         attempts = _moved(self._attempts, self.frame, outer)
         wanted = self._area.to_see(unknown, outer, attempts)[own]
         edge = np.argwhere(frontier_cells(seen & ~closed, unknown)[own]) + np.array([rows.start, cols.start])

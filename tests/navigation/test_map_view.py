@@ -82,17 +82,18 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     hits, passes, seen = (grid.part(name, frame) for name in ("hits", "passes", "seen"))
     solid = close_gaps(grid.part("obstacles", frame) | ((hits >= 3) & (passes <= 15 * hits)))
     obstacles = close_unseen_gaps(solid, seen, 8)
-    unknown = ~(seen | obstacles)
+    unseen, unknown = ~(seen | obstacles), ~close_unseen_gaps(seen | obstacles, seen, 3)  # 3 cells between two beams
     assert np.array_equal(view.obstacles, obstacles) and np.array_equal(view.seen, seen)
     assert np.array_equal(view.opaque, ndimage.binary_dilation(obstacles, np.ones((5, 5), dtype=np.bool_)))
     assert np.array_equal(view.edge, np.argwhere(frontier_cells(seen & ~obstacles, unknown)))
     y, x = (rows_cols + np.array(view.first)[:, None, None] + 0.5) * view.cell_m
     x0, y0, x1, y1 = REGION
-    assert np.array_equal(view.unseen, unknown & (x > x0) & (x < x1) & (y > y0) & (y < y1))
+    in_region = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+    assert np.array_equal(view.unseen, unseen & in_region)
     inside = np.nonzero(((x > x0) & (x < x1) & (y > y0) & (y < y1)).any(axis=1))[0]
     across = np.nonzero(((x > x0) & (x < x1) & (y > y0) & (y < y1)).any(axis=0))[0]
     bounds = inside[0], inside[-1] + 1, across[0], across[-1] + 1
-    assert np.array_equal(view.wanted, spread(view.unseen, unknown, 10, bounds))
+    assert np.array_equal(view.wanted, spread(unknown & in_region, unknown, 10, bounds))
     outside = (x < x0 - 0.3) | (x > x1 + 0.3) | (y < y0 - 0.3) | (y > y1 + 0.3)
     touched = grid.inflated(frame, CONFIG.safety.buffer_m - CONFIG.grid.clearance_m)
     assert np.array_equal(view.blocked, touched | far_from(seen, 4) | outside)
