@@ -72,10 +72,6 @@ class PointsConfig(Section):
     """Free ends of walls, by the report's four rules."""
     max_gap_m: Positive = 0.3
     """Two walls meet in a corner only if both end within this distance of it."""
-    min_angle_rad: Annotated[float, Range(0.0, math.pi / 2, open_low=True, unit="rad")] = math.radians(25.0)
-    """Least angle between the walls of a corner."""
-    range_margin_m: NonNegative = 0.2
-    """Rule 2: no free end is this close to the maximum range."""
     min_points: Annotated[int, Range(3)] = 8
     """Rule 4: fewest points of a partition with a free end."""
     max_sigma_m: Positive = 0.15
@@ -86,12 +82,8 @@ class PointsConfig(Section):
 class WallsConfig(Section):
     """Which fitted walls count as landmarks."""
 
-    min_length_m: NonNegative = 0.4
-    """Shorter walls determine too little of their direction."""
     max_sigma_rad: Positive = 0.1
     """Largest sigma of a wall's direction; others are not reported."""
-    end_points: Annotated[int, Range(3)] = 5
-    """Returns that a free end takes from its wall, so that each return is evidence once."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +112,6 @@ class AssociationConfig(Section):
     freedom. An observation without a match counts as one at the gate."""
     new_gate: Positive = 27.631
     """Squared Mahalanobis distance of a new landmark from every known one, at least: 0.999999 of chi-square."""
-    wall_gap_m: NonNegative = 0.05
-    """Collinear walls may be one landmark if the gap between their seen extents is at most this."""
     pre_gate_m: Positive = 1.5
     """Only landmarks this near an observation are compared with it."""
     new_separation_m: NonNegative = 0.3
@@ -158,14 +148,10 @@ class ISAM2Config(Section):
 
     relinearize_threshold: Positive = 0.02
     """A variable that has moved farther than this, m or rad, is relinearized."""
-    relinearize_skip: PositiveCount = 1
-    """Updates between two checks of that."""
     iterations: PositiveCount = 2
     """Gauss-Newton steps per update, at most; with one the smoother is overconfident where headings are uncertain."""
     robust: Literal["none", "huber", "cauchy"] = "none"
     """Loss on landmarks' factors, against wrong matches."""
-    robust_scale: Positive = 1.5
-    """Scale of the loss, in whitened error."""
     undo_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.999999
     """A match is rejected later if its residual lies outside this quantile of its noise; 1: never."""
     least_gain: NonNegative = 0.02

@@ -134,8 +134,6 @@ class PointsFields(TypedDict, total=False):
     corners: bool
     ends: bool
     max_gap_m: float
-    min_angle_rad: float
-    range_margin_m: float
     min_points: int
     max_sigma_m: float
 
@@ -143,9 +141,7 @@ class PointsFields(TypedDict, total=False):
 class WallsFields(TypedDict, total=False):
     """Fields of `WallsConfig`."""
 
-    min_length_m: float
     max_sigma_rad: float
-    end_points: int
 
 
 class FeaturesFields(TypedDict, total=False):
@@ -165,7 +161,6 @@ class AssociationFields(TypedDict, total=False):
 
     match_gate: float
     new_gate: float
-    wall_gap_m: float
     pre_gate_m: float
     new_separation_m: float
     known_probability: float
@@ -187,10 +182,8 @@ class ISAM2Fields(TypedDict, total=False):
     """Fields of `ISAM2Config`."""
 
     relinearize_threshold: float
-    relinearize_skip: int
     iterations: int
     robust: Literal["none", "huber", "cauchy"]
-    robust_scale: float
     undo_probability: float
     least_gain: float
 

@@ -209,7 +209,7 @@ class Associator:
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
         recent = np.array([self._scan - record.last_scan < self._config.cull_period for record in records], dtype=bool)
         gone: list[LandmarkId] = []
-        for j, k in collinear_pairs(walls, extents, recent, self._config.wall_gap_m, self._config.new_separation_m):
+        for j, k in collinear_pairs(walls, extents, recent, self._config.new_separation_m):
             if ids[j] in gone or ids[k] in gone:
                 continue
             joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]

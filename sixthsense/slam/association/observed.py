@@ -23,6 +23,8 @@ Mask = NDArray[np.bool_]
 
 _PARALLEL_RAD = 0.15
 """between two walls: always plausible below"""
+WALL_GAP_M = 0.05
+"""between what was seen of collinear walls that may be one: narrower than a door, wider than the noise of their ends"""
 
 
 class Observed(NamedTuple):
@@ -94,12 +96,12 @@ class Distances(NamedTuple):
         of_walls = np.minimum(np.maximum(widest * sigmas, cfg.new_separation_m), cfg.pre_gate_m)[:, None]
         of_points = np.minimum(widest * (sigmas[:, None] + 2.0 * known), cfg.pre_gate_m)
         near = self.metres < np.where(self.length_m[:, None] > 0.0, of_walls, of_points)
-        return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < cfg.wall_gap_m))
+        return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < WALL_GAP_M))
 
     def apart(self, cfg: AssociationConfig) -> Mask:
         """(m, n) pairs that are far enough apart to be of two landmarks, whatever their covariances say."""
         near = (self.metres <= cfg.new_separation_m) & (self.turn_rad < _PARALLEL_RAD)
-        return np.asarray(~(near & (self.gap_m < cfg.wall_gap_m)))
+        return np.asarray(~(near & (self.gap_m < WALL_GAP_M)))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -160,7 +162,7 @@ def ends(pose: Pose, observation: Observation) -> Array:
 
 
 def collinear_pairs(
-    landmarks: Array, extents: Array, recent: NDArray[np.bool_], gap_m: float, offset_m: float
+    landmarks: Array, extents: Array, recent: NDArray[np.bool_], offset_m: float
 ) -> list[tuple[int, int]]:
     """Pairs of walls (n, 2), at least one of them `recent` (n,), that may be one by direction, offset and extent."""
     pairs: list[tuple[int, int]] = []
@@ -168,7 +170,7 @@ def collinear_pairs(
     if not len(mine):
         return pairs
     near = Distances.between(extents[mine], landmarks[mine, 0], walls[mine], landmarks, walls, extents)
-    close = (near.turn_rad < _PARALLEL_RAD) & (near.metres <= offset_m) & (near.gap_m < gap_m)
+    close = (near.turn_rad < _PARALLEL_RAD) & (near.metres <= offset_m) & (near.gap_m < WALL_GAP_M)
     for j, k in zip(*np.nonzero(close), strict=True):
         first, second = int(mine[j]), int(k)
         if first != second and not (recent[second] and second < first):

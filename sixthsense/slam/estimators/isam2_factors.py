@@ -28,6 +28,8 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
 Loss = gtsam.noiseModel.mEstimator.Base
+_LOSS_SCALE = 1.5  # sigmas from which a match counts less: two of three right ones lie below
+_LOSS_SCALE = 1.5  # sigmas from which a match counts less: two of three right ones lie below
 
 _FLOOR = 1e-6  # sigma (m, rad) added to each number: one that is known would make the system singular
 
@@ -64,9 +66,9 @@ def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
 def loss_of(config: ISAM2Config) -> Loss | None:
     """The configured loss on landmarks' factors; None for squares."""
     if config.robust == "huber":
-        return gtsam.noiseModel.mEstimator.Huber.Create(config.robust_scale)
+        return gtsam.noiseModel.mEstimator.Huber.Create(_LOSS_SCALE)
     if config.robust == "cauchy":
-        return gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
+        return gtsam.noiseModel.mEstimator.Cauchy.Create(_LOSS_SCALE)
     return None
 
 

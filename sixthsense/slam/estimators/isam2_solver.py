@@ -198,7 +198,7 @@ def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "Q
     """GTSAM's parameters for a configuration."""
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(config.relinearize_threshold)
-    parameters.relinearizeSkip = config.relinearize_skip
+    parameters.relinearizeSkip = 1  # each update checks: what has moved is linearized anew at once
     parameters.setFactorization(factorization)
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.05 * config.relinearize_threshold))
     parameters.enableAdaptiveReorder = True  # a stale order costs 50 % more at the 99th percentile

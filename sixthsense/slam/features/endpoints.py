@@ -15,6 +15,11 @@ from sixthsense.slam.features.partition import Indices
 UNDECIDED, FREE_END = -1, -2
 """Endpoint types; any other is the index of the line that is met in a corner."""
 
+_LEAST_SINE = math.sin(math.radians(25.0))
+"""of the angle between the lines of a corner: the place of a flatter one is hardly determined along them"""
+_RANGE_MARGIN_M = 0.2
+"""rule 2: a wall that goes on beyond the maximum range ends this close to it, by the noise of a range and its slope"""
+
 
 class RolledScan(NamedTuple):
     """A scan in the laser's frame, rolled so that no first-level partition straddles its seam."""
@@ -42,12 +47,8 @@ class EndpointRules(NamedTuple):
     """look for free ends"""
     max_gap_m: float
     """both lines end within this of their corner"""
-    min_angle_rad: float
-    """least angle between the lines of a corner"""
     max_range_m: float
     """of the laser"""
-    range_margin_m: float
-    """rule 2: no free end is this close to the maximum range"""
     min_points: int
     """rule 4: returns in the partition of a free end"""
     threshold_m: float
@@ -118,12 +119,12 @@ def _is_free_end(scan: RolledScan, k: int, step: int, following: int, line: Arra
     ranges, bearings = scan.ranges, scan.bearings
     if following < 0:
         return False
-    if ranges[k] > rules.max_range_m - rules.range_margin_m:  # rule 2
+    if ranges[k] > rules.max_range_m - _RANGE_MARGIN_M:  # rule 2
         return False
     if ranges[following] < ranges[k]:  # rule 3: something nearer occludes the rest
         return False
     ahead = math.cos(bearings[k] + step * mean_spacing(bearings) - line[0])
-    if ahead <= 0.0 or line[1] / ahead > rules.max_range_m - rules.range_margin_m:
+    if ahead <= 0.0 or line[1] / ahead > rules.max_range_m - _RANGE_MARGIN_M:
         return False  # rule 2 for the wall's continuation, which may lie beyond the range
     if math.isfinite(ranges[following]):
         off = ranges[following] * math.cos(bearings[following] - line[0]) - line[1]
@@ -168,7 +169,7 @@ def mark_corners(scan: RolledScan, lines: FittedLines, rules: EndpointRules, end
         a, b = points[lines.ends[j, 1]], points[lines.ends[after, 0]]
         near_a = math.hypot(meet[0] - a[0], meet[1] - a[1]) <= rules.max_gap_m
         near_b = math.hypot(meet[0] - b[0], meet[1] - b[1]) <= rules.max_gap_m
-        if abs(math.sin(fits[j, 0] - fits[after, 0])) >= math.sin(rules.min_angle_rad) and near_a and near_b:
+        if abs(math.sin(fits[j, 0] - fits[after, 0])) >= _LEAST_SINE and near_a and near_b:
             endpoint_type[j, 1], endpoint_type[after, 0] = after, j
 
 

@@ -64,9 +64,8 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
         kinds, found, used, of_points = find_points(rolled, fitted, _endpoint_rules(scan, config), sigmas)
         bearings = rolled.bearings[used]
     else:
-        rules, reserved = _endpoint_rules(scan, config), config.walls.end_points
-        least = config.walls.min_length_m
-        walls, found, used, of_walls, of_points = find_walls(rolled, fitted, rules, sigmas, least, reserved)
+        rules = _endpoint_rules(scan, config)
+        walls, found, used, of_walls, of_points = find_walls(rolled, fitted, rules, sigmas)
         kinds, bearings = np.full(len(found), Kind.END), rolled.bearings[used]
         observations = _wall_observations(walls, _slices(bearings, of_walls), mount, assumed, config)
     observations += _point_observations(kinds, found, _slices(bearings, of_points), mount, assumed, config)
@@ -115,9 +114,7 @@ def _endpoint_rules(scan: Scan, config: FeaturesConfig) -> EndpointRules:
         points.corners,
         points.ends and config.landmarks != "walls",
         points.max_gap_m,
-        points.min_angle_rad,
         scan.max_range,
-        points.range_margin_m,
         points.min_points,
         config.lines.ransac_threshold_m,
     )

@@ -34,6 +34,10 @@ from sixthsense.slam.features.partition import Indices
 
 CORNER, END = int(Kind.CORNER), int(Kind.END)
 """Values of `Kind`, which compiled code cannot read."""
+END_RETURNS = 5
+"""that a free end takes from its wall, so that each return is evidence once: fewer hardly average their noise"""
+_MIN_LENGTH_M = 0.4
+"""of a wall: shorter ones determine too little of their direction"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -149,13 +153,13 @@ def _write(into: NDArray[Any], at: int, values: NDArray[Any]) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def find_walls(
-    scan: RolledScan, lines: FittedLines, rules: EndpointRules, sigmas: LaserSigmas, min_length: float, reserved: int
+    scan: RolledScan, lines: FittedLines, rules: EndpointRules, sigmas: LaserSigmas
 ) -> tuple[Array, Array, Indices, Indices, Indices]:
     """Walls and free ends of one scan, all in the laser's frame, metres and radians.
 
-    A free end takes the last `reserved` returns on its side. Its wall takes all others, except those near a corner and,
-    on a side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that
-    of its wall. Walls shorter than `min_length` (m) are left out; `rules.corners` is ignored.
+    A free end takes the last `END_RETURNS` on its side. Its wall takes all others, except those near a corner and, on a
+    side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that of
+    its wall. Walls shorter than `_MIN_LENGTH_M` are left out; `rules.corners` is ignored.
     Returns (W, 11) alpha, d, aa, ad, dd, the first and last place along the wall that was seen, and its `shape`; (E, 5)
     x, y, xx, xy, yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall
     (W, 2) and of each free end (E, 2).
@@ -173,11 +177,11 @@ def find_walls(
     w = e = u = 0
     for j in range(count):
         owned = clear_of_corners(points, np.flatnonzero(lines.owner == j), j, lines.fits, corners, sigmas.range_m)
-        at_first = ends[j, 0] == FREE_END and len(owned) >= 2 * reserved
-        of_first_end = owned[: reserved if at_first else 0]
+        at_first = ends[j, 0] == FREE_END and len(owned) >= 2 * END_RETURNS
+        of_first_end = owned[: END_RETURNS if at_first else 0]
         owned = owned[len(of_first_end) :]
-        at_last = ends[j, 1] == FREE_END and len(owned) >= 2 * reserved
-        of_last_end = owned[len(owned) - (reserved if at_last else 0) :]
+        at_last = ends[j, 1] == FREE_END and len(owned) >= 2 * END_RETURNS
+        of_last_end = owned[len(owned) - (END_RETURNS if at_last else 0) :]
         owned = owned[: len(owned) - len(of_last_end)]
         undecided_first = corners[j, 0] == UNDECIDED and not at_first
         undecided_last = corners[j, 1] == UNDECIDED and not at_last
@@ -197,7 +201,7 @@ def find_walls(
         c, s = math.cos(fit[0]), math.sin(fit[0])
         first, last = lines.ends[j, 0], lines.ends[j, 1]
         a, b = points[first, 1] * c - points[first, 0] * s, points[last, 1] * c - points[last, 0] * s
-        if abs(b - a) >= min_length:
+        if abs(b - a) >= _MIN_LENGTH_M:
             _write(walls[w], 0, fit)
             walls[w, 5], walls[w, 6] = min(a, b), max(a, b)
             _write(walls[w], 7, shape(points, owned, fit, sigmas))

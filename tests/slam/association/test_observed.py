@@ -22,7 +22,7 @@ from sixthsense.slam.association.records import (
 )
 from sixthsense.slam.estimators.base import Estimate
 
-CONFIG = AssociationConfig(pre_gate_m=1.1, wall_gap_m=0.3, new_separation_m=0.45)
+CONFIG = AssociationConfig(pre_gate_m=1.1, new_separation_m=0.45)
 POSE = Pose(-1.7, 2.3, 2.6)
 
 
@@ -78,8 +78,8 @@ def test_distances_from_landmarks_and_what_they_allow_are_those_of_plain_geometr
                 gap = max(a[0], b[0]) - min(a[1], b[1])
                 limit = min(max(widest * sigmas[i], 0.45), 1.1)
             assert (found.metres[i, j], found.turn_rad[i, j], found.gap_m[i, j]) == pytest.approx((away, turn, gap))
-            assert apart[i, j] == (away > 0.45 or turn >= 0.15 or gap >= 0.3)
-            assert plausible[i, j] == (away < limit and turn < max(0.05 * widest, 0.15) and gap < 0.3)
+            assert apart[i, j] == (away > 0.45 or turn >= 0.15 or gap >= 0.05)
+            assert plausible[i, j] == (away < limit and turn < max(0.05 * widest, 0.15) and gap < 0.05)
 
 
 def test_the_bound_of_a_sigma_is_that_of_the_middle_seen_with_the_errors_of_the_pose_added():
@@ -94,13 +94,13 @@ def test_the_bound_of_a_sigma_is_that_of_the_middle_seen_with_the_errors_of_the_
 
 
 def test_walls_may_be_one_if_one_of_them_is_recent_and_they_lie_in_line_without_a_gap():
-    walls = np.array([[0.7, 1.9], [0.72, 1.85], [0.7, 2.5], [0.72, 1.92], [1.0, 1.9]])
-    spans = [(0.0, 1.0), (1.2, 2.0), (0.2, 0.9), (2.5, 3.5), (0.0, 1.0)]
-    extents = np.array([[line_point(wall, s) for s in span] for wall, span in zip(walls, spans, strict=True)])
+    walls = np.array([[0.7, 1.9], [0.7, 1.85], [0.7, 2.5], [0.7, 1.92], [1.0, 1.9]])
     recent = np.array([True, False, True, True, True])
-    assert collinear_pairs(walls, extents, recent, 0.3, 0.45) == [(0, 1)]
-    assert sorted(collinear_pairs(walls, extents, recent, 0.6, 0.45)) == [(0, 1), (3, 1)]
-    assert collinear_pairs(walls, extents, np.zeros(5, bool), 9.0, 9.0) == []
+    for gap_m, expected in ((0.06, [(0, 1)]), (0.04, [(0, 1), (3, 1)])):
+        spans = [(0.0, 1.0), (1.03, 2.0), (0.2, 0.9), (2.0 + gap_m, 3.5), (0.0, 1.0)]
+        extents = np.array([[line_point(wall, s) for s in span] for wall, span in zip(walls, spans, strict=True)])
+        assert sorted(collinear_pairs(walls, extents, recent, 0.45)) == expected
+    assert collinear_pairs(walls, extents, np.zeros(5, bool), 9.0) == []
 
 
 def test_extents_are_joined_on_the_landmark_from_the_first_place_to_the_last():

@@ -13,6 +13,7 @@ from sixthsense.core.landmarks import Kind, Observation, initialize_landmark, li
 from sixthsense.core.laser import Scan, Sweep
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import add_sweep_noise
+from sixthsense.slam.features.landmarks import END_RETURNS
 from sixthsense.slam.features.partition import partition
 
 MOUNT = Pose(0.31, -0.17, 2.3)
@@ -51,7 +52,7 @@ def test_a_return_is_evidence_once_and_a_free_end_takes_the_last_ones_of_its_wal
     used = np.concatenate([one.bearings for one in found])
     assert len(np.unique(used)) == len(used) > 100
     of_ends = [len(one.bearings) for one in found if one.kind == Kind.END]
-    assert of_ends and set(of_ends) == {preset().features.walls.end_points}
+    assert of_ends and set(of_ends) == {END_RETURNS}
     assert min(len(one.bearings) for one in found if one.is_wall) >= 3
 
 
