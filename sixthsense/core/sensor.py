@@ -10,6 +10,7 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig
 from sixthsense.core.geometry import Array, rotation
+from sixthsense.core.parameters import ParameterEstimate
 
 SENSOR_PARAMETERS = 3
 """number of a sensor's parameters"""
@@ -75,21 +76,8 @@ class SensorTerms:
         return self.values.jacobian(self.z)
 
 
-@dataclass(frozen=True, slots=True)
-class SensorEstimate:
-    """The sensor's parameters with their uncertainty: a prior, or an estimate."""
-
-    values: Sensor
-    cov: Array
-    """(3, 3) of the parameters, in the order of the fields"""
-
-    def with_sigmas(self) -> Array:
-        """(2, 3) the parameters, and their sigmas."""
-        return np.stack([self.values.array(), np.sqrt(np.maximum(np.diag(self.cov), 0.0))])
-
-
-def sensor_prior(config: AssumedConfig) -> SensorEstimate:
+def sensor_prior(config: AssumedConfig) -> ParameterEstimate[Sensor]:
     """The prior of the parameters: none is wrong, and the sigmas of `config.sensor`."""
     sigmas = config.sensor
     of_each = sigmas.yaw_sigma_rad, sigmas.forward_sigma_m, sigmas.bearing_scale_sigma
-    return SensorEstimate(Sensor(), np.diag(np.square(of_each)))
+    return ParameterEstimate(Sensor(), np.diag(np.square(of_each)))

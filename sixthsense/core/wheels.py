@@ -13,6 +13,7 @@ import numpy as np
 from sixthsense.config import AssumedConfig
 from sixthsense.core.arcs import arc, arc_length
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.se2 import Triple, wrapped
 
 PARAMETERS = 5
@@ -59,20 +60,7 @@ class WheelTerms:
     """(3, 5) of (x, y, theta) of the motion by the parameters, axes of the frame before; m, rad"""
 
 
-@dataclass(frozen=True, slots=True)
-class WheelEstimate:
-    """The wheels' parameters with their uncertainty: a prior, or an estimate."""
-
-    values: Wheels
-    cov: Array
-    """(5, 5) of the parameters, in the order of the fields"""
-
-    def with_sigmas(self) -> Array:
-        """(2, 5) the parameters, and their sigmas."""
-        return np.stack([self.values.array(), np.sqrt(np.maximum(np.diag(self.cov), 0.0))])
-
-
-def wheel_prior(config: AssumedConfig) -> WheelEstimate:
+def wheel_prior(config: AssumedConfig) -> ParameterEstimate[Wheels]:
     """The prior of the parameters: the assumed values, and the sigmas of `config.wheels`."""
     sigmas = config.wheels
     cov = np.diag(
@@ -82,7 +70,7 @@ def wheel_prior(config: AssumedConfig) -> WheelEstimate:
         ])
     )  # fmt: skip
     cov[:2, :2] += sigmas.scale_sigma**2
-    return WheelEstimate(Wheels.assumed(config), cov)
+    return ParameterEstimate(Wheels.assumed(config), cov)
 
 
 class WheelErrors(NamedTuple):

@@ -20,8 +20,9 @@ from sixthsense.config import AssumedConfig, Config, ConfigError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
+from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.source import Tick
-from sixthsense.core.wheels import WheelEstimate, wheel_prior
+from sixthsense.core.wheels import Wheels, wheel_prior
 from sixthsense.slam.estimators import Estimator, Filter
 
 # Sigmas grow with the way, not with its square root.
@@ -65,12 +66,12 @@ class MotionSource(Protocol):
         """The motion since the last keyframe as the estimator is given it after the last tick."""
         ...
 
-    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
         ...
 
 
-class Wheels:
+class ByWheels:
     """Wheels have measured the motion, and an aligned scan is no reason to forget it."""
 
     is_guess = False
@@ -104,17 +105,17 @@ class Wheels:
         """The motion by the wheels."""
         return since
 
-    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Nothing is kept."""
 
 
-class CalibratedWheels(Wheels):
+class CalibratedWheels(ByWheels):
     """Wheels whose parameters the estimator estimates: increments are those of the newest values."""
 
     def __init__(self, assumed: AssumedConfig) -> None:
         super().__init__(assumed)
         self._odometry = WheelOdometry(assumed)
-        self._estimate: WheelEstimate | None = None
+        self._estimate: ParameterEstimate[Wheels] | None = None
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
         """The motion by the present parameters, and its dependence on them; or with the covariance of the log."""
@@ -130,14 +131,14 @@ class CalibratedWheels(Wheels):
         """The motion with the errors that no parameter describes."""
         return with_unsteady_errors(since)
 
-    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Use the newest parameters from now on."""
         self._estimate = wheels
         if wheels is not None:
             self._odometry.wheels = wheels.values
 
 
-def with_wheel_errors(odometry: Odometry, wheels: WheelEstimate | None = None) -> Odometry:
+def with_wheel_errors(odometry: Odometry, wheels: ParameterEstimate[Wheels] | None = None) -> Odometry:
     """Odometry whose covariance has the wheels' errors added: those of their estimate, or else of any wheels."""
     if wheels is None or odometry.wheels is None:
         return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, 1.0))
@@ -293,7 +294,7 @@ class LastVelocity:
         factors = np.sqrt(1.0 + age_s / self._since_key_s)
         return Odometry(since.motion, since.cov * np.outer(factors, factors))
 
-    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Begin anew at a keyframe; there are no wheels."""
         self._begin_anew()
 
@@ -313,7 +314,7 @@ class Motion:
     A log says of each tick whether wheels have measured the motion to it.
     """
 
-    def __init__(self, wheels: Wheels | None) -> None:
+    def __init__(self, wheels: ByWheels | None) -> None:
         """Begin with `wheels`, or without any."""
         self._wheels, self._velocity = wheels, LastVelocity()
         self.present: MotionSource = wheels or self._velocity
@@ -331,7 +332,7 @@ class Motion:
             self.present = self._velocity
         return self.present.increment(before, tick, duration_s, since)
 
-    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
         if self._wheels is not None:
             self._wheels.at_keyframe(wheels)
@@ -343,11 +344,11 @@ def make_motion(config: Config, estimator: Estimator) -> Motion:
     if config.no_odometry:
         return Motion(None)
     if not config.calibrate_wheels:
-        return Motion(Wheels(config.assumed))
+        return Motion(ByWheels(config.assumed))
     if not isinstance(estimator, Filter):
         raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
     prior = wheel_prior(config.assumed)
-    estimator.estimate_wheels(prior)
+    estimator.calibrate(prior)
     motion = Motion(CalibratedWheels(config.assumed))
     motion.at_keyframe(prior)
     return motion

@@ -9,8 +9,9 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
-from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.wheels import WheelEstimate
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.sensor import Sensor
+from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks
@@ -62,9 +63,9 @@ class SlamResult:
     """(S, 3) motion from the last keyframe to each scan, if it is known better now than when the scan was taken"""
     loop_closures: LoopClosureCounts | None = None
     """of a front end that searches for old places"""
-    wheels: WheelEstimate | None = None
+    wheels: ParameterEstimate[Wheels] | None = None
     """the wheels' parameters, if they are estimated"""
     links: PoseLinks | None = None
     """between keyframes, as the estimator has them, of a front end that makes them"""
-    sensor: SensorEstimate | None = None
+    sensor: ParameterEstimate[Sensor] | None = None
     """the parameters of the sensor of points, if they are estimated"""

@@ -11,7 +11,8 @@ from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.sensor import Sensor, SensorEstimate, sensor_prior
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.front_end import Keyframe
 
@@ -30,14 +31,14 @@ class SensorCalibration:
             if not isinstance(estimator, Filter):
                 raise ConfigError(f"calibrate_sensor: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
             prior = sensor_prior(config.assumed)
-            estimator.estimate_sensor(prior)
+            estimator.calibrate(prior)
             self._estimator = estimator
             self._sensor = prior.values
             self._scale_variance = config.assumed.sensor.scale_sigma**2
 
-    def sensor(self) -> SensorEstimate | None:
+    def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The sensor's parameters, if they are estimated."""
-        return None if self._estimator is None else self._estimator.sensor()
+        return None if self._estimator is None else self._estimator.calibration(Sensor)
 
     def corrected(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """Observations as the present parameters have them."""

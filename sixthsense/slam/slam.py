@@ -18,10 +18,11 @@ from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.random_streams import random_streams
-from sixthsense.core.sensor import SensorEstimate
+from sixthsense.core.sensor import Sensor
 from sixthsense.core.source import Tick
-from sixthsense.core.wheels import WheelEstimate
+from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
@@ -30,7 +31,7 @@ from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
-from sixthsense.slam.motion_source import Motion, Wheels, make_motion
+from sixthsense.slam.motion_source import ByWheels, Motion, make_motion
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
@@ -173,11 +174,11 @@ class Slam:
         """(K, 3) pose at each keyframe, as believed now."""
         return self.estimator.trajectory()
 
-    def wheels(self) -> WheelEstimate | None:
+    def wheels(self) -> ParameterEstimate[Wheels] | None:
         """The wheels' parameters at the last keyframe, if they are estimated."""
-        return self.estimator.wheels() if isinstance(self.estimator, Filter) else None
+        return self.estimator.calibration(Wheels) if isinstance(self.estimator, Filter) else None
 
-    def sensor(self) -> SensorEstimate | None:
+    def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The parameters of the sensor of points at the last keyframe, if they are estimated."""
         return self._sensor.sensor()
 
@@ -279,5 +280,5 @@ def make_front_end(
         from sixthsense.slam.scans.front_end import ScanFrontEnd
 
         smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
-        guide = ScanFrontEnd(config, smoother, start, Motion(Wheels(config.assumed)), clock, is_guide=True)
+        guide = ScanFrontEnd(config, smoother, start, Motion(ByWheels(config.assumed)), clock, is_guide=True)
     return LandmarkFrontEnd(config, estimator, associator, random_streams(config.seed).ransac, start, clock, guide)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.core.wheels import PARAMETERS, WheelEstimate
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.wheels import PARAMETERS, Wheels
 
 Log = Sequence[tuple[Odometry, Mapping[LandmarkId, Observation]]]
 Residual = Callable[[Array], Array]
@@ -87,7 +88,7 @@ def batch_posterior(
     log: Log,
     start: Pose,
     start_cov: Array,
-    wheels: WheelEstimate | None = None,
+    wheels: ParameterEstimate[Wheels] | None = None,
     restarts: Mapping[int, Odometry] | None = None,
 ) -> Posterior:
     """The posterior of a log by Gauss-Newton iterations from dead reckoning and the first observations.
@@ -139,7 +140,7 @@ def _factors(
     log: Log,
     start: Odometry,
     of_landmarks: Mapping[LandmarkId, Places],
-    wheels: WheelEstimate | None,
+    wheels: ParameterEstimate[Wheels] | None,
     restarts: Mapping[int, Odometry],
 ) -> list[_Factor]:
     """Priors, odometry and observations."""

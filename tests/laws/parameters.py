@@ -11,8 +11,9 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, predict_points
 from sixthsense.core.motion import Odometry
-from sixthsense.core.sensor import Sensor, SensorEstimate
-from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels, corrected_with_terms
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.sensor import Sensor
+from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms
 from sixthsense.slam.estimators import Filter
 from sixthsense.testing import posterior
 from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
@@ -22,9 +23,9 @@ from sixthsense.testing.laws import Laws, raises
 LAWS = Laws()
 
 Values = Wheels | Sensor
-Parameters = WheelEstimate | SensorEstimate
+Parameters = ParameterEstimate[Wheels] | ParameterEstimate[Sensor]
 
-PRIOR = WheelEstimate(Wheels(), np.diag([0.05, 0.05, 0.03, 0.05, 0.03]) ** 2)
+PRIOR = ParameterEstimate(Wheels(), np.diag([0.05, 0.05, 0.03, 0.05, 0.03]) ** 2)
 TRUE = Wheels(0.03, -0.04, 0.02, 0.05, 0.02)
 _PERIOD_S = 0.5
 _TURNS = (0.3, 0.0, -0.35, 0.1)
@@ -72,11 +73,11 @@ class Kept:
 
     def add(self, estimator: Filter, prior: Parameters) -> None:
         """Begin to estimate the parameters."""
-        getattr(estimator, f"estimate_{self.label}")(prior)
+        estimator.calibrate(prior)
 
     def found(self, estimator: Filter) -> Any:
         """The estimated parameters; None if they are not estimated."""
-        return getattr(estimator, self.label)()
+        return estimator.calibration(type(self.true))
 
     def look(self, estimator: Filter) -> None:
         """Observe two landmarks from the start with the true values."""
@@ -103,7 +104,7 @@ class OfWheels(Kept):
         at, cov = Pose(), _motion_cov(sigma)
         for k in range(steps):
             at = at @ noisy(increment(k, true, cov), rng)
-            present = estimator.wheels()
+            present = estimator.calibration(Wheels)
             estimator.predict(increment(k, true if present is None else present.values, cov))
             seen = rng.choice(len(POINTS), 3, replace=False).tolist()
             estimator.update(sight(at, seen, rng, 5.0 * sigma))
@@ -113,7 +114,11 @@ class OfWheels(Kept):
 class OfSensor(Kept):
     """The parameters of a sensor of points."""
 
-    label, prior, true = "sensor", SensorEstimate(Sensor(), np.diag([0.03, 0.1, 0.03]) ** 2), Sensor(0.02, -0.08, 0.03)
+    label, prior, true = (
+        "sensor",
+        ParameterEstimate(Sensor(), np.diag([0.03, 0.1, 0.03]) ** 2),
+        Sensor(0.02, -0.08, 0.03),
+    )
 
     def look(self, estimator: Filter) -> None:
         seen = self._reported(START, [0, 2], self.true, 0.01, np.random.default_rng(0))
@@ -128,7 +133,7 @@ class OfSensor(Kept):
             ahead = predict_points(at, _RING)[0]
             ids = np.flatnonzero(np.abs(np.arctan2(ahead[:, 1], ahead[:, 0])) < 0.8).tolist()
             seen = self._reported(at, ids, true, 2.0 * sigma, rng)
-            present = estimator.sensor()
+            present = estimator.calibration(Sensor)
             taken = {i: s.with_sensor(true if present is None else present.values) for i, s in seen.items()}
             plain = {i: Observation(Kind.CORNER, s.z, s.cov) for i, s in taken.items()}
             estimator.update(plain if present is None else taken)
@@ -192,7 +197,7 @@ def the_estimate_of_parameters_is_a_copy(name: str, kind: Kept) -> None:
 
 @LAWS.law_for(KINDS)
 def a_late_or_invalid_prior_is_refused(name: str, kind: Kept) -> None:
-    late = f"estimate_{kind.label}"
+    late = f"calibrate {kind.label}"
     with raises(RuntimeError, late):
         kind.add(kind.start(name), kind.prior)
     moved, seen = make(name), make(name)
@@ -224,7 +229,7 @@ def odometry_that_does_not_depend_on_the_wheels_leaves_them_alone(name: str) -> 
 @LAWS.law_for([posterior.POINTS, posterior.BOTH])
 def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(name: str, world: posterior.World) -> None:
     noise, rng = posterior.NOISE, np.random.default_rng(7)
-    prior = WheelEstimate(Wheels(0.02, 0.01, -0.01, 0.03), (4.0 * noise) ** 2 * np.eye(PARAMETERS))
+    prior = ParameterEstimate(Wheels(0.02, 0.01, -0.01, 0.03), (4.0 * noise) ** 2 * np.eye(PARAMETERS))
     true = Wheels.from_array(prior.values.array() + 4.0 * noise * rng.standard_normal(PARAMETERS))
     at = Pose.from_array(posterior.START.array() + np.linalg.cholesky(posterior.START_COV) @ rng.standard_normal(3))
     log: list[tuple[Odometry, dict[LandmarkId, Observation]]] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numba
 import numpy as np
@@ -15,8 +15,7 @@ from sixthsense.core.covariance import COVARIANCE_SLACK, are_covariances, check_
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.wheels import WheelEstimate
+from sixthsense.core.parameters import P, ParameterEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,20 +131,15 @@ class Filter(Estimator, Protocol):
         """
         ...
 
-    def estimate_wheels(self, prior: WheelEstimate) -> None:
-        """Estimate the wheels' parameters from now on; RuntimeError after the first motion or update."""
+    def calibrate(self, prior: ParameterEstimate[Any]) -> None:
+        """Estimate the parameters of the wheels, or of the sensor of points, from now on.
+
+        RuntimeError after the first motion or update. ValueError for an invalid covariance.
+        """
         ...
 
-    def wheels(self) -> WheelEstimate | None:
-        """The wheels' present parameters with their covariance; None if they are not estimated."""
-        ...
-
-    def estimate_sensor(self, prior: SensorEstimate) -> None:
-        """Estimate the sensor's parameters from now on; RuntimeError after the first motion or update."""
-        ...
-
-    def sensor(self) -> SensorEstimate | None:
-        """The sensor's present parameters with their covariance; None if they are not estimated."""
+    def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
+        """The present parameters, `Wheels` or `Sensor`, with their covariance; None if they are not estimated."""
         ...
 
 
@@ -246,10 +240,11 @@ def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:
         raise ValueError(f"prior: found {fault or prior.cov.shape}, allowed: a covariance, ({2 * n}, {2 * n})")
 
 
-def check_parameters(name: str, prior: WheelEstimate | SensorEstimate, has_begun: bool) -> None:
+def check_parameters(prior: ParameterEstimate[Any], has_begun: bool) -> None:
     """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
+    name = type(prior.values).__name__.lower()
     if has_begun:
-        raise RuntimeError(f"estimate_{name}: found a call after the first motion or update, allowed: before both")
+        raise RuntimeError(f"calibrate {name}: found a call after the first motion or update, allowed: before both")
     n, fault = len(prior.values.array()), covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK)
     if prior.cov.shape != (n, n) or fault:
         raise ValueError(f"prior of {name}: found {fault or prior.cov.shape}, allowed: a covariance, ({n}, {n})")

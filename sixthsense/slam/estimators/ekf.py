@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Collection, Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, translated
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import turned_covariance
-from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
 from sixthsense.slam.estimators.ekf_algebra import (
     Parameters,
@@ -77,25 +76,15 @@ class EKF:
         self._means, self._anchors, self._walls = means, means.copy(), prior.walls.copy()
         self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
 
-    def estimate_wheels(self, prior: WheelEstimate) -> None:
-        """Add the wheels' parameters to the state."""
-        self._parameters.add_wheels(prior, self._has_begun)
+    def calibrate(self, prior: ParameterEstimate[Any]) -> None:
+        """Add the parameters of the wheels, or of the sensor of points, to the state."""
+        self._parameters.add(prior, self._has_begun)
         self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
 
-    def wheels(self) -> WheelEstimate | None:
-        """The wheels' parameters, if they are estimated."""
-        values, at = self._parameters.wheels, self._parameters.of_wheels
-        return None if values is None else WheelEstimate(values, self._symmetric(np.arange(at.start, at.stop)))
-
-    def estimate_sensor(self, prior: SensorEstimate) -> None:
-        """Add the parameters of the sensor of points to the state."""
-        self._parameters.add_sensor(prior, self._has_begun)
-        self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
-
-    def sensor(self) -> SensorEstimate | None:
-        """The sensor's parameters, if they are estimated."""
-        values, at = self._parameters.sensor, self._parameters.of_sensor
-        return None if values is None else SensorEstimate(values, self._symmetric(np.arange(at.start, at.stop)))
+    def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
+        """The parameters of this kind, if they are estimated."""
+        values, at = self._parameters.of(of)
+        return None if values is None else ParameterEstimate(values, self._symmetric(np.arange(at.start, at.stop)))
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; the covariance is propagated at the next call that needs it.

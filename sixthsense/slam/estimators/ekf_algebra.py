@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import predictions, translations
 from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre, translated
+from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import Triple, wrapped
-from sixthsense.core.sensor import Sensor, SensorEstimate
-from sixthsense.core.wheels import WheelEstimate, Wheels
+from sixthsense.core.sensor import Sensor
+from sixthsense.core.wheels import Wheels
 from sixthsense.slam.estimators.base import check_parameters
 
 _NONE = slice(3, 3)
@@ -35,19 +36,19 @@ class Parameters:
     sensor: Sensor | None = None
     of_sensor: slice = field(default_factory=lambda: _NONE)
 
-    def add_wheels(self, prior: WheelEstimate, has_begun: bool) -> None:
-        """Add the wheels' parameters; RuntimeError if the filter has begun, ValueError for an invalid covariance."""
-        check_parameters("wheels", prior, self.wheels is not None or has_begun)
-        self.wheels, self.of_wheels = prior.values, self._added(prior.cov)
+    def add(self, prior: ParameterEstimate[Any], has_begun: bool) -> None:
+        """Add parameters; RuntimeError if the filter has begun or has them, ValueError for an invalid covariance."""
+        check_parameters(prior, has_begun or self.of(type(prior.values))[0] is not None)
+        at, self.end = slice(self.end, self.end + len(prior.cov)), self.end + len(prior.cov)
+        if isinstance(prior.values, Wheels):
+            self.wheels, self.of_wheels = prior.values, at
+        else:
+            self.sensor, self.of_sensor = prior.values, at
 
-    def add_sensor(self, prior: SensorEstimate, has_begun: bool) -> None:
-        """Add the sensor's parameters; RuntimeError if the filter has begun, ValueError for an invalid covariance."""
-        check_parameters("sensor", prior, self.sensor is not None or has_begun)
-        self.sensor, self.of_sensor = prior.values, self._added(prior.cov)
-
-    def _added(self, cov: Array) -> slice:
-        begin, self.end = self.end, self.end + len(cov)
-        return slice(begin, self.end)
+    def of(self, kind: type[P]) -> tuple[P | None, slice]:
+        """The values of this kind, None if they are not estimated, and where they are in the state."""
+        values, at = (self.wheels, self.of_wheels) if kind is Wheels else (self.sensor, self.of_sensor)
+        return cast("P | None", values), at
 
     def correct(self, shift: Array) -> None:
         """Add a correction of the state, (3 + p + 2n,)."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -20,8 +21,7 @@ from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.wheels import WheelEstimate
+from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.slam.estimators.base import (
     Estimate,
     LandmarkPrior,
@@ -85,21 +85,13 @@ class ISAM2:
         self._pending = STANDSTILL
         """motion since the last solved pose"""
 
-    def estimate_wheels(self, prior: WheelEstimate) -> None:
-        """Add the wheels' parameters as a variable of the graph."""
-        self._head.add_wheels(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
+    def calibrate(self, prior: ParameterEstimate[Any]) -> None:
+        """Add the parameters of the wheels, or of the sensor of points, as a variable of the graph."""
+        self._head.add(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
 
-    def wheels(self) -> WheelEstimate | None:
-        """The wheels' parameters at the last solution, if they are estimated."""
-        return self._head.wheel_estimate()
-
-    def estimate_sensor(self, prior: SensorEstimate) -> None:
-        """Add the parameters of the sensor of points as a variable of the graph."""
-        self._head.add_sensor(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
-
-    def sensor(self) -> SensorEstimate | None:
-        """The sensor's parameters at the last solution, if they are estimated."""
-        return self._head.sensor_estimate()
+    def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
+        """The parameters of this kind at the last solution, if they are estimated."""
+        return self._head.parameters(of)
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: one factor of all of them."""

@@ -14,6 +14,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -23,12 +24,11 @@ from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.motion import Odometry
-from sixthsense.core.sensor import Sensor, SensorEstimate
-from sixthsense.core.wheels import WheelEstimate
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.sensor import Sensor
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
 Loss = gtsam.noiseModel.mEstimator.Base
-_LOSS_SCALE = 1.5  # sigmas from which a match counts less: two of three right ones lie below
 _LOSS_SCALE = 1.5  # sigmas from which a match counts less: two of three right ones lie below
 
 _FLOOR = 1e-6  # sigma (m, rad) added to each number: one that is known would make the system singular
@@ -198,7 +198,7 @@ WHEELS, SENSOR = int(gtsam.symbol("c", 0)), int(gtsam.symbol("s", 0))
 """keys of the variables, vectors"""
 
 
-def parameters_factor(key: int, prior: WheelEstimate | SensorEstimate) -> gtsam.NonlinearFactor:
+def parameters_factor(key: int, prior: ParameterEstimate[Any]) -> gtsam.NonlinearFactor:
     """The prior of the parameters in a variable."""
     return gtsam.PriorFactorVector(key, prior.values.array(), noise_of(floored(prior.cov)))
 

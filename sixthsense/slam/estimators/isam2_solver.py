@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 import gtsam
 import numpy as np
@@ -20,9 +20,10 @@ from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import composed_covariance, turned_covariance
-from sixthsense.core.sensor import Sensor, SensorEstimate
-from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
+from sixthsense.core.sensor import Sensor
+from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators.base import check_parameters
 from sixthsense.slam.estimators.isam2_chain import Chain, map_gain
 from sixthsense.slam.estimators.isam2_factors import (
@@ -217,36 +218,32 @@ class Head:
         """at the last solution, if they are estimated"""
         self.sensor: Sensor | None = None
         """at the last solution, if its parameters are estimated"""
-        self._sensor_prior: SensorEstimate | None = None
+        self._sensor_prior: ParameterEstimate[Sensor] | None = None
         self._solver, self._cov = solver, cov
         self._last = 0
         """key of the last solved pose"""
         self._has_cov = True
         """whether the covariance is that of the last solution"""
 
-    def add_wheels(self, prior: WheelEstimate, unsolved: Unsolved, has_begun: bool) -> None:
-        """Add the wheels' parameters; RuntimeError if the estimator has begun."""
-        check_parameters("wheels", prior, self.wheels is not None or has_begun)
-        unsolved.values.insert(WHEELS, prior.values.array())
-        unsolved.graph.add(parameters_factor(WHEELS, prior))
-        self.wheels, self._cov = prior.values, block_diag(self._cov, prior.cov)
+    def add(self, prior: ParameterEstimate[Any], unsolved: Unsolved, has_begun: bool) -> None:
+        """Add parameters; RuntimeError if the estimator has begun or has them."""
+        check_parameters(prior, has_begun or self.parameters(type(prior.values)) is not None)
+        key = WHEELS if isinstance(prior.values, Wheels) else SENSOR
+        unsolved.values.insert(key, prior.values.array())
+        unsolved.graph.add(parameters_factor(key, prior))
+        if isinstance(prior.values, Wheels):
+            self.wheels, self._cov = prior.values, block_diag(self._cov, prior.cov)
+        else:
+            self.sensor, self._sensor_prior = prior.values, prior
 
-    def wheel_estimate(self) -> WheelEstimate | None:
-        """The wheels' parameters, if they are estimated."""
-        return None if self.wheels is None else WheelEstimate(self.wheels, self.cov()[3:, 3:].copy())
-
-    def add_sensor(self, prior: SensorEstimate, unsolved: Unsolved, has_begun: bool) -> None:
-        """Add the sensor's parameters; RuntimeError if the estimator has begun."""
-        check_parameters("sensor", prior, self.sensor is not None or has_begun)
-        unsolved.values.insert(SENSOR, prior.values.array())
-        unsolved.graph.add(parameters_factor(SENSOR, prior))
-        self.sensor, self._sensor_prior = prior.values, prior
-
-    def sensor_estimate(self) -> SensorEstimate | None:
-        """The sensor's parameters, if they are estimated."""
-        if self.sensor is None or not self.is_solved:
-            return self._sensor_prior
-        return SensorEstimate(self.sensor, self._solver.covariance(SENSOR))
+    def parameters(self, of: type[P]) -> ParameterEstimate[P] | None:
+        """The parameters of this kind, if they are estimated."""
+        found: Any = self._sensor_prior
+        if of is Wheels:
+            found = None if self.wheels is None else ParameterEstimate(self.wheels, self.cov()[3:, 3:].copy())
+        elif self.sensor is not None and self.is_solved:
+            found = ParameterEstimate(self.sensor, self._solver.covariance(SENSOR))
+        return cast("ParameterEstimate[P] | None", found)
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""

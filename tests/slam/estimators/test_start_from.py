@@ -71,10 +71,10 @@ def test_wheels_are_estimated_beside_a_prior_map(name):
     first, _ = WHEELS.driven(name, 40, sigma, rng)
     estimator = WHEELS.start(name, None, Pose(), 1e-6 * np.eye(3))
     estimator.start_from(prior_from(first))
-    with pytest.raises(RuntimeError, match="estimate_wheels"):
-        estimator.estimate_wheels(PRIOR)
+    with pytest.raises(RuntimeError, match="calibrate wheels"):
+        estimator.calibrate(PRIOR)
     WHEELS.drive(estimator, 40, sigma, rng, TRUE)
-    found = estimator.wheels()
+    found = estimator.calibration(type(TRUE))
     assert (
         normalised(found.values.array() - TRUE.array(), found.cov) < 18.5
     )  # 0.999 of chi-square, 4 degrees of freedom

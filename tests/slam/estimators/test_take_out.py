@@ -6,7 +6,8 @@ from laws.links import linked
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, WheelTerms
-from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators import Link
 from sixthsense.testing.estimation import assert_same, joint_state, make, step
 
@@ -64,14 +65,14 @@ def test_another_order_and_the_ends_are_refused(wrong):
 
 def test_with_the_wheels_as_a_variable_the_motions_still_depend_on_them():
     whole, less = (make("isam2") for _ in range(2))
-    prior, jacobian = WheelEstimate(Wheels(), 1e-4 * np.eye(PARAMETERS)), np.eye(3, PARAMETERS)
+    prior, jacobian = ParameterEstimate(Wheels(), 1e-4 * np.eye(PARAMETERS)), np.eye(3, PARAMETERS)
     for smoother in (whole, less):
-        smoother.estimate_wheels(prior)
+        smoother.calibrate(prior)
         for _ in range(6):
             smoother.predict(Odometry(step().motion, step().cov, WheelTerms(Wheels(), 0.1 * jacobian)))
             smoother.update({})
         smoother.link([seen(smoother, 0, 5)])
     less.take_out([2, 3])
     assert_same(joint_state(whole), joint_state(less), 1e-5)
-    assert np.allclose(whole.wheels().cov, less.wheels().cov, rtol=1e-3)
-    assert np.allclose(whole.wheels().values.array(), less.wheels().values.array(), atol=1e-5)
+    assert np.allclose(whole.calibration(Wheels).cov, less.calibration(Wheels).cov, rtol=1e-3)
+    assert np.allclose(whole.calibration(Wheels).values.array(), less.calibration(Wheels).values.array(), atol=1e-5)

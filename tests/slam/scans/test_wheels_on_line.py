@@ -7,7 +7,8 @@ from rooms import CORNERS, CORRIDOR, HALF, RING, ROOM, drive, ticks
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
-from sixthsense.core.wheels import WheelEstimate, Wheels, WheelTerms, wheel_prior
+from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.wheels import Wheels, WheelTerms, wheel_prior
 from sixthsense.slam.motion_source import with_unsteady_errors, with_wheel_errors
 from sixthsense.slam.slam import Slam
 
@@ -45,7 +46,7 @@ def test_in_a_bare_corridor_the_forward_scale_is_hardly_learnt_and_the_drift_is(
 def test_errors_that_are_known_leave_what_no_parameter_describes():
     jacobian = np.array([[0.25, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0.25, 0, 0]])
     odometry = Odometry(Pose(0.25, 0.0, 0.0), 1e-6 * np.eye(3), WheelTerms(Wheels(), jacobian))
-    known, unknown = (WheelEstimate(Wheels(), np.diag(sigmas) ** 2) for sigmas in ([0] * 5, [0.05, 0, 0.03, 0, 0]))
+    known, unknown = (ParameterEstimate(Wheels(), np.diag(sigmas) ** 2) for sigmas in ([0] * 5, [0.05, 0, 0.03, 0, 0]))
     of_any, of_known, of_unknown = (with_wheel_errors(odometry, wheels).cov for wheels in (None, known, unknown))
     assert np.array_equal(of_known, with_unsteady_errors(odometry).cov)
     assert np.allclose(of_unknown - of_known, np.diag([0.0125, 0.0, 0.0075]) ** 2)
