@@ -44,6 +44,19 @@ class WallShape(NamedTuple):
     """of the amplitudes, by the laser's noise; infinite where they are not known"""
 
 
+class Bend(NamedTuple):
+    """The error that the shape of a wall makes where it was seen, which stays while the same of it is seen."""
+
+    cov: Array
+    """(2, 2) part of the observation's"""
+    kept: float = 0.0
+    """its correlation with that of the wall's last observation, 0 to 1"""
+    stretch: int = 0
+    """number, among those of its wall, of the stretch and side that was seen"""
+    stretch_kept: float = 1.0
+    """its correlation with that of the stretch, 0 to 1"""
+
+
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One landmark as one scan saw it."""
@@ -60,15 +73,8 @@ class Observation:
     are not known; for evaluation only, not recorded"""
     shape: WallShape = field(default=WallShape(), repr=False, compare=False)
     """of a wall; not recorded"""
-    shape_cov: Array | None = field(default=None, repr=False, compare=False)
-    """(2, 2) part of `cov` by the shape of a wall where it was seen; None: it is straight; not recorded"""
-    shape_kept: float = field(default=0.0, repr=False, compare=False)
-    """correlation of the error by the shape with that of the wall's last observation, 0 to 1; not recorded"""
-    stretch: int = field(default=0, repr=False, compare=False)
-    """number, among those of its wall, of the stretch and side that was seen: there the shape's error stays; not
-    recorded"""
-    stretch_kept: float = field(default=1.0, repr=False, compare=False)
-    """correlation of the error by the shape with that of the stretch, 0 to 1; not recorded"""
+    bend: Bend | None = field(default=None, repr=False, compare=False)
+    """of a wall that is not straight; not recorded"""
     sensor: SensorTerms | None = field(default=None, repr=False, compare=False)
     """its dependence on the sensor's parameters, if these are estimated; not recorded"""
 

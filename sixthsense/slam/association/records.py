@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation, WallShape
+from sixthsense.core.landmarks import Bend, Kind, LandmarkId, Observation, WallShape
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.observed import ends, joined
 
@@ -130,8 +130,8 @@ def less_certain(observation: Observation, square_m2: float) -> Observation:
     """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
     if square_m2 == 0.0 or not observation.is_wall:
         return observation
-    shape_cov = square_m2 * unit_cov(*observation.extent, True)
-    return replace(observation, cov=observation.cov + shape_cov, shape_cov=shape_cov)
+    bend = Bend(square_m2 * unit_cov(*observation.extent, True))
+    return replace(observation, cov=observation.cov + bend.cov, bend=bend)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -206,12 +206,12 @@ class Record:
         self.shape.add(observation.shape)
         self.extent = joined(wall, self.extent, seen)
         before, self.footprint = self.footprint, Footprint.of(pose, seen)
-        if observation.shape_cov is None:
+        if observation.bend is None:
             return observation
         kept = 0.0 if before is None else correlation(before, self.footprint)
         stretch = self.stretch_of(self.footprint)
         alike = correlation(self.stretches[stretch], self.footprint)
-        return replace(observation, shape_kept=kept, stretch=stretch, stretch_kept=alike)
+        return replace(observation, bend=Bend(observation.bend.cov, kept, stretch, alike))
 
     def stretch_of(self, seen: Footprint) -> int:
         """Number of the stretch that is most like what was seen; a new one, if none has most of its error."""

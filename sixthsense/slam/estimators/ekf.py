@@ -221,9 +221,9 @@ class EKF:
         predicted, by_pose, by_landmark = expected(pose, self._means[slots], *points, walls, self._centres[slots])
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
         for k, observation in enumerate(observations):
-            if observation.shape_cov is not None:
-                cov[k] -= observation.shape_cov
-                self._renew(int(slots[k]), 2.0 * (1.0 - observation.shape_kept) * observation.shape_cov, by_landmark[k])
+            if (bend := observation.bend) is not None:
+                cov[k] -= bend.cov
+                self._renew(int(slots[k]), 2.0 * (1.0 - bend.kept) * bend.cov, by_landmark[k])
         innovation, noise = observation_innovations(z, cov, predicted, walls)
         H = stacked(by_pose, by_landmark, self._head)  # the non-zero columns of H
         for k, observation in enumerate(observations):

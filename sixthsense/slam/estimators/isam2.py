@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations
+from sixthsense.core.landmarks import Bend, LandmarkId, Observation, observation_innovations
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.slam.estimators.base import (
@@ -319,8 +319,8 @@ class Observations:
             is_new = i not in self._landmarks.keys
             if is_new:
                 self._landmarks.add(i, guess, observation, waiting.values)
-            if observation.shape_cov is not None and (i, observation.stretch) not in self._landmarks.stretches:
-                self._add_stretch(i, guess, observation, waiting)
+            if (bend := observation.bend) is not None and (i, bend.stretch) not in self._landmarks.stretches:
+                self._add_stretch(i, guess, observation, bend, waiting)
                 self._append(NONE, i, observation, True)  # a factor between a wall and what is seen of it
             waiting.graph.add(self._factor(i, (int(X(pose)), guess), observation, is_new, waiting.values))
             self._append(pose, i, observation, is_new)
@@ -376,9 +376,10 @@ class Observations:
         self._rows[self._count] = (pose, i, NONE, seen.is_wall, is_first, seen.z, seen.cov)
         self._count += 1
 
-    def _add_stretch(self, i: LandmarkId, guess: Pose, observation: Observation, waiting: Unsolved) -> None:
-        wall, key = self._landmarks.keys[i], self._landmarks.next_stretch(i, observation.stretch)
-        frame, factor = stretch_factor((wall, self._frame(wall, waiting.values)), key, guess, observation)
+    def _add_stretch(self, i: LandmarkId, guess: Pose, observation: Observation, bend: Bend, waiting: Unsolved) -> None:
+        wall, key = self._landmarks.keys[i], self._landmarks.next_stretch(i, bend.stretch)
+        of_bend = replace(observation, cov=bend.cov)
+        frame, factor = stretch_factor((wall, self._frame(wall, waiting.values)), key, guess, of_bend)
         waiting.values.insert(key, to_pose2(frame))
         waiting.graph.add(factor)
 
@@ -388,10 +389,9 @@ class Observations:
         key = self._landmarks.keys[i]
         if not observation.is_wall:
             return seen_point(key, pose[0], observation, self._head.sensor, self._loss)
-        if observation.shape_cov is not None:
-            key = self._landmarks.stretches[i, observation.stretch]
-            of_stretch = observation.stretch_kept**2 * observation.shape_cov
-            observation = replace(observation, cov=observation.cov - of_stretch)
+        if (bend := observation.bend) is not None:
+            key = self._landmarks.stretches[i, bend.stretch]
+            observation = replace(observation, cov=observation.cov - bend.stretch_kept**2 * bend.cov)
         if self._head.wheels is not None and not is_new:
             return exact_factor(key, pose[0], observation, self._loss)
         return wall_factor((key, self._frame(key, values)), pose, observation, is_new, self._loss)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -127,16 +126,15 @@ def stretch_factor(
 ) -> tuple[Pose, gtsam.NonlinearFactor]:
     """The frame of an apparent wall that is observed from `pose`, and its factor, with the key of the wall's variable.
 
+    The covariance of the observation is that of its bend alone.
     An apparent wall is the wall and an error of its shape. Its origin is where a turn and a shift by that error are
     independent.
     """
-    assert observation.shape_cov is not None
     wall_key, frame = wall
-    of_shape = replace(observation, cov=observation.shape_cov)
-    x, y = observed_centre(of_shape)
+    x, y = observed_centre(observation)
     centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)
     place = Pose(x=(frame.inverse() @ pose @ centre).x)
-    _, of_turn, of_shift = line_errors(observation.shape_cov)
+    _, of_turn, of_shift = line_errors(observation.cov)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([FIRST_M, math.sqrt(of_shift), math.sqrt(of_turn)]))
     return frame @ place, gtsam.BetweenFactorPose2(wall_key, key, to_pose2(place), noise)
 

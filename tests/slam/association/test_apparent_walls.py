@@ -27,6 +27,11 @@ def wall_from(pose, cov):
     return Observation(Kind.WALL, z, cov, (-1.0, 1.0))
 
 
+def seen_as(observation, **fields):
+    """The observation of a wall that is not straight with this in common with earlier ones."""
+    return replace(observation, bend=observation.bend._replace(**fields))
+
+
 def filtered(name, seen):
     """A filter that has seen a wall from one place, several times."""
     estimator = make_estimator(name, Pose(0.0, -2.0, 0.3), np.zeros((3, 3)))
@@ -40,11 +45,11 @@ def test_an_error_of_shape_that_stays_is_counted_once(name):
     """However often it is observed, the line is known no better than by its shape; without it, ever better."""
     clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6]))
     crooked = less_certain(clean, 1e-4)
-    stays = filtered(name, [crooked, *[replace(crooked, shape_kept=1.0)] * 50])
+    stays = filtered(name, [crooked, *[seen_as(crooked, kept=1.0)] * 50])
     once = less_certain(clean, 1e-4).cov
     variance = stays.joint_covariance([0])[4, 4]
     assert variance < 1e-6  # as it appears from here, the wall is known well
-    anew = filtered(name, [crooked, *[replace(crooked, shape_kept=0.0)] * 50]).joint_covariance([0])[4, 4]
+    anew = filtered(name, [crooked, *[seen_as(crooked, kept=0.0)] * 50]).joint_covariance([0])[4, 4]
     assert variance < anew < 2.0 * once[1, 1]
 
 
@@ -55,9 +60,9 @@ def test_a_wall_that_is_seen_otherwise_says_less_of_the_pose(name):
     crooked = less_certain(clean, 1e-4)
     variances = []
     for kept in (1.0, 0.5, 0.0):
-        estimator = filtered(name, [crooked, *[replace(crooked, shape_kept=1.0)] * 5])
+        estimator = filtered(name, [crooked, *[seen_as(crooked, kept=1.0)] * 5])
         estimator.predict(Odometry(Pose(), np.diag([1e-2, 1e-2, 1e-6])))
-        estimator.update({0: replace(crooked, shape_kept=kept)})
+        estimator.update({0: seen_as(crooked, kept=kept)})
         variances.append(estimator.estimate().pose_cov[1, 1])
     assert variances[0] < variances[1] < variances[2] < 1e-3
 
@@ -67,9 +72,9 @@ def test_in_the_smoother_each_stretch_has_one_error(stretches):
     """The wall has the information of its stretches, each with its shape's covariance and the mean of its scans'."""
     clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 4e-6]))
     crooked = less_certain(clean, 1e-4)
-    estimator = filtered("isam2", [replace(crooked, stretch=k) for k in stretches])
+    estimator = filtered("isam2", [seen_as(crooked, stretch=k) for k in stretches])
     counts = np.bincount(stretches)
-    information = sum(np.linalg.inv(crooked.shape_cov + clean.cov / n) for n in counts)
+    information = sum(np.linalg.inv(crooked.bend.cov + clean.cov / n) for n in counts)
     about_robot = estimator.joint_covariance([0])[3:, 3:]
     assert about_robot[0, 0] == pytest.approx(np.linalg.inv(information)[0, 0], rel=1e-3)
     x, y = 0.0, -2.0  # the landmark's offset is from the world's origin, the observed one from the robot
@@ -84,7 +89,7 @@ def test_in_the_smoother_a_stretch_that_was_seen_says_more_of_the_pose():
     for stretch in (0, 1):
         estimator = filtered("isam2", [crooked] * 6)
         estimator.predict(Odometry(Pose(), np.diag([1e-2, 1e-2, 1e-6])))
-        estimator.update({0: replace(crooked, stretch=stretch)})
+        estimator.update({0: seen_as(crooked, stretch=stretch)})
         variances.append(estimator.estimate().pose_cov[1, 1])
     assert variances[0] < 1e-5 < 1e-4 < variances[1] < 3e-4
 
@@ -93,18 +98,18 @@ def test_in_the_smoother_what_a_scan_does_not_share_with_its_stretch_is_noise():
     """The information of a wall is that of observations with errors of one part in common."""
     clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 4e-6]))
     crooked, alike = less_certain(clean, 1e-4), 0.8
-    estimator = filtered("isam2", [replace(crooked, stretch_kept=alike)] * 5)
-    own = (clean.cov + (1.0 - alike**2) * crooked.shape_cov) / 5
-    assert estimator.joint_covariance([0])[3, 3] == pytest.approx((crooked.shape_cov + own)[0, 0], rel=1e-3)
+    estimator = filtered("isam2", [seen_as(crooked, stretch_kept=alike)] * 5)
+    own = (clean.cov + (1.0 - alike**2) * crooked.bend.cov) / 5
+    assert estimator.joint_covariance([0])[3, 3] == pytest.approx((crooked.bend.cov + own)[0, 0], rel=1e-3)
 
 
 def test_apparent_walls_go_with_their_wall():
     crooked = less_certain(wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6])), 1e-4)
     estimator = make_estimator("isam2", Pose(0.0, -2.0, 0.3), np.zeros((3, 3)))
     for stretch in (0, 1):
-        estimator.update({0: replace(crooked, stretch=stretch), 1: crooked})
+        estimator.update({0: seen_as(crooked, stretch=stretch), 1: crooked})
     estimator.forget([0])
-    estimator.update({1: replace(crooked, stretch=1), 2: crooked})
+    estimator.update({1: seen_as(crooked, stretch=1), 2: crooked})
     assert estimator.estimate().landmarks == pytest.approx(np.tile([math.pi / 2, 0.0], (2, 1)), abs=1e-6)
     assert len(estimator.trajectory()) == 3
 
