@@ -12,7 +12,7 @@ from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.arcs import arc_jacobian, arc_length
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import Triple, composed, inverted
-from sixthsense.core.wheels import WheelErrors, Wheels, errors_of, true_motion
+from sixthsense.core.wheels import Wheels, true_motion
 
 _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes
 
@@ -59,7 +59,7 @@ class OdometryNoise(NamedTuple):
     """variance of position between two keyframes beside that"""
     floor_rad2: float
     """variance of heading between two keyframes beside that"""
-    wheels: WheelErrors
+    wheels: Wheels
 
     @staticmethod
     @functools.cache
@@ -73,7 +73,7 @@ class OdometryNoise(NamedTuple):
             Slip.of(noise),
             float(assumed.floor_m**2),
             float(assumed.floor_rad**2),
-            errors_of(Wheels.assumed(assumed)),
+            Wheels.assumed(assumed),
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,8 +19,7 @@ PARAMETERS = 5
 """number of the wheels' parameters"""
 
 
-@dataclass(frozen=True, slots=True)
-class Wheels:
+class Wheels(NamedTuple):
     """Systematic errors of a differential drive's odometry (Borenstein and Feng 1996), and its latency."""
 
     forward_scale_error: float = 0.0
@@ -38,7 +36,8 @@ class Wheels:
     @classmethod
     def assumed(cls, config: AssumedConfig) -> Wheels:
         """The assumed values."""
-        return cls(config.wheel_scale_error, config.wheel_scale_error, config.drift_rad_per_m)
+        scale = float(config.wheel_scale_error)
+        return cls(scale, scale, float(config.drift_rad_per_m))
 
     @classmethod
     def from_array(cls, values: Array) -> Wheels:
@@ -47,7 +46,7 @@ class Wheels:
 
     def array(self) -> Array:
         """(5,) in the order of the fields."""
-        return np.array(dataclasses.astuple(self))
+        return np.array(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,34 +72,15 @@ def wheel_prior(config: AssumedConfig) -> ParameterEstimate[Wheels]:
     return ParameterEstimate(Wheels.assumed(config), cov)
 
 
-class WheelErrors(NamedTuple):
-    """The parameters that change a reported motion, as numbers for kernels; fields as of `Wheels`."""
-
-    forward_scale_error: float
-    turn_scale_error: float
-    drift_rad_per_m: float
-    curve_loss_m_per_rad: float
-
-
-def errors_of(wheels: Wheels) -> WheelErrors:
-    """The wheels' parameters but for the latency."""
-    return WheelErrors(
-        float(wheels.forward_scale_error),
-        float(wheels.turn_scale_error),
-        float(wheels.drift_rad_per_m),
-        float(wheels.curve_loss_m_per_rad),
-    )
-
-
 @numba.njit(cache=True, error_model="numpy")
-def _bent(reported: float, turn: float, errors: WheelErrors) -> tuple[float, float, bool]:
+def _bent(reported: float, turn: float, wheels: Wheels) -> tuple[float, float, bool]:
     """Turn (rad) to add to an arc of a reported length (m) and turn, factor of its length, and whether it drives."""
-    scale, lost = 1.0 + errors.forward_scale_error, errors.curve_loss_m_per_rad * abs(turn)
+    scale, lost = 1.0 + wheels.forward_scale_error, wheels.curve_loss_m_per_rad * abs(turn)
     is_driving = scale * abs(reported) >= max(lost, 0.0)  # it does not turn on the spot
     stretch = 0.0
     if is_driving:
         stretch = scale - (lost / abs(reported) if reported != 0.0 else 0.0)
-    return errors.turn_scale_error * turn + errors.drift_rad_per_m * stretch * reported, stretch, is_driving
+    return wheels.turn_scale_error * turn + wheels.drift_rad_per_m * stretch * reported, stretch, is_driving
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -111,11 +91,11 @@ def _turned_chord(x: float, y: float, bend: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def true_motion(motion: Triple, errors: WheelErrors) -> Triple:
-    """The true motion for the reported one."""
-    if errors == (0.0, 0.0, 0.0, 0.0):
+def true_motion(motion: Triple, wheels: Wheels) -> Triple:
+    """The true motion for the reported one; the latency is no part of it."""
+    if wheels == (0.0, 0.0, 0.0, 0.0, 0.0):
         return motion
-    bend, stretch, _ = _bent(arc_length(motion[0], motion[1], motion[2]), motion[2], errors)
+    bend, stretch, _ = _bent(arc_length(motion[0], motion[1], motion[2]), motion[2], wheels)
     x, y = _turned_chord(motion[0], motion[1], bend)
     return stretch * x, stretch * y, wrapped(motion[2] + bend)
 
@@ -128,7 +108,7 @@ def corrected_with_terms(motion: Pose, wheels: Wheels, velocity_change: Array) -
     the latency. The motion itself is that for the present latency.
     """
     reported = arc(motion)[0]
-    bend, stretch, is_driving = _bent(reported, motion.theta, errors_of(wheels))
+    bend, stretch, is_driving = _bent(reported, motion.theta, wheels)
     x, y = _turned_chord(motion.x, motion.y, bend)
     by_loss = -abs(motion.theta) / abs(reported) if is_driving and reported else 0.0
     jacobian = np.zeros((3, PARAMETERS))

@@ -18,7 +18,7 @@ from sixthsense.core.motion import (
     rk4,
     variance,
 )
-from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms, errors_of, true_motion
+from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms, true_motion
 
 QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_position_per_sqrt_rad=0,
                     slip_heading_per_sqrt_m=0, slip_heading_per_sqrt_rad=0)  # fmt: skip
@@ -144,7 +144,7 @@ def test_the_jacobian_by_the_wheels_agrees_with_finite_differences():
         reported, change = Pose(*rng.normal(size=3) * [0.3, 0.05, 0.4]), rng.normal(size=3)
         values = rng.normal(size=PARAMETERS) * 0.05
         motion, terms = corrected_with_terms(reported, Wheels.from_array(values), change)
-        by_kernel = true_motion((reported.x, reported.y, reported.theta), errors_of(Wheels.from_array(values)))
+        by_kernel = true_motion((reported.x, reported.y, reported.theta), Wheels.from_array(values))
         assert motion == Pose(*by_kernel)
         assert np.array_equal(terms.jacobian[:, 3], change)  # of the latency, which the reported motion has already
         for k in (0, 1, 2, 4):
