@@ -1,4 +1,4 @@
-"""Landmarks in kernels: what `sixthsense.core.landmarks` computes once or more for every landmark of a keyframe."""
+"""Landmarks in kernels: what is computed once or more for every landmark of a keyframe."""
 
 from __future__ import annotations
 
@@ -86,7 +86,13 @@ def innovation(z: Array, cov: Array, predicted: Array, is_wall: bool, value: Arr
 
 @numba.njit(cache=True, error_model="numpy")
 def innovations_of(z: Array, cov: Array, predicted: Array, walls: Mask) -> tuple[Array, Array]:
-    """Innovations (m, 2) of observations `z` (m, 2) with `cov` (m, 2, 2), and (m, 2, 2) about the predictions."""
+    """(m, 2) innovations of observations `z` (m, 2) with `cov` (m, 2, 2), and (m, 2, 2) about the predictions (m, 2).
+
+    The error of a fitted line is a turn about the centre of its returns and a shift there, independent of each other:
+    `cov` tells where the centre is. About the foot of its perpendicular, a turn by delta also moves the offset d by
+    d delta^2 / 2, which for a short wall is more than the sigma of the shift and always to the same side. So the
+    distance of the predicted line is taken from the centre. To first order it is z - predicted, with `cov`.
+    """
     values, about = np.empty((len(z), 2)), np.empty((len(z), 2, 2))
     for k in range(len(z)):
         innovation(z[k], cov[k], predicted[k], walls[k], values[k], about[k])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of, predictions, translations
+from sixthsense.core.landmark_kernels import predictions
 from sixthsense.core.sensor import Sensor, SensorTerms
 
 LandmarkId = int
@@ -124,22 +124,6 @@ def polar_observation(
     return Observation(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
 
 
-def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
-    """Predict the observations of m points from a pose (report eq. 5).
-
-    `landmarks` (m, 2) world frame. Returns z (m, 2) in the robot's frame, its Jacobians by the pose (m, 2, 3) and by
-    the landmark (2, 2), the same for every point.
-    """
-    c, s = math.cos(pose.theta), math.sin(pose.theta)
-    world_to_robot = np.array([[c, s], [-s, c]])
-    z = (landmarks - pose.position) @ world_to_robot.T
-    by_pose = np.empty((len(landmarks), 2, 3))
-    by_pose[:, :, :2] = -world_to_robot
-    by_pose[:, 0, 2] = z[:, 1]
-    by_pose[:, 1, 2] = -z[:, 0]
-    return z, by_pose, world_to_robot
-
-
 def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
     """World position of a point observed at z (2,), and its Jacobians by pose (2, 3) and by z (2, 2)."""
     c, s = math.cos(pose.theta), math.sin(pose.theta)
@@ -147,23 +131,6 @@ def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
     offset = by_z @ z
     by_pose = np.array([[1.0, 0.0, -offset[1]], [0.0, 1.0, offset[0]]])
     return pose.position + offset, by_pose, by_z
-
-
-def predict_walls(pose: Pose, walls: Array) -> tuple[Array, Array, Array]:
-    """Predict the observations of m walls from a pose.
-
-    `walls` (m, 2) alpha, d in the world frame. Returns z (m, 2) in the robot's frame, its Jacobians by the pose
-    (m, 2, 3) and by the wall (m, 2, 2).
-    """
-    normal, along = _axes(walls[:, 0])
-    z = np.column_stack([wrap_angle(walls[:, 0] - pose.theta), walls[:, 1] - normal @ pose.position])
-    by_pose = np.zeros((len(walls), 2, 3))
-    by_pose[:, 0, 2] = -1.0
-    by_pose[:, 1, :2] = -normal
-    by_wall = np.zeros((len(walls), 2, 2))
-    by_wall[:, 0, 0] = by_wall[:, 1, 1] = 1.0
-    by_wall[:, 1, 0] = -along @ pose.position
-    return z, by_pose, by_wall
 
 
 def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -179,17 +146,6 @@ def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
     difference = z - predicted
     difference[..., 0] = np.where(walls, wrap_angle(difference[..., 0]), difference[..., 0])
     return np.asarray(difference)
-
-
-def observation_innovations(z: Array, cov: Array, predicted: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """(m, 2) innovations of m observations, and (m, 2, 2) their covariances about the predictions.
-
-    The error of a fitted line is a turn about the centre of its returns and a shift there, independent of each other:
-    `cov` tells where the centre is. About the foot of its perpendicular, a turn by delta also moves the offset d by
-    d delta^2 / 2, which for a short wall is more than the sigma of the shift and always to the same side. So the
-    distance of the predicted line is taken from the centre. To first order it is that of `innovations`, with `cov`.
-    """
-    return innovations_of(z, cov, predicted, walls)
 
 
 def line_errors(cov: Array) -> tuple[Array, Array, Array]:
@@ -232,14 +188,3 @@ def rotation_generator(landmarks: Array, walls: NDArray[np.bool_] | None = None)
     """
     change = np.stack([-landmarks[..., 1], landmarks[..., 0]], axis=-1)
     return change if walls is None else np.where(walls[:, None], np.array([1.0, 0.0]), change)
-
-
-def translated(landmarks: Array, walls: NDArray[np.bool_], by: Array) -> tuple[Array, Array]:
-    """Landmarks (m, 2) after the world is translated by `by` (m, 2), for each its own, and the Jacobians (m, 2, 2)."""
-    return translations(landmarks, walls, by)
-
-
-def _axes(alpha: Array) -> tuple[Array, Array]:
-    """(m, 2) normals of walls and (m, 2) directions, which are a quarter turn counter-clockwise of them."""
-    c, s = np.cos(alpha), np.sin(alpha)
-    return np.column_stack([c, s]), np.column_stack([-s, c])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.landmarks import observation_innovations
+from sixthsense.core.landmark_kernels import innovations_of
 from sixthsense.core.se2 import between
 from sixthsense.sources.logs.stamps import matched
 
@@ -101,7 +101,7 @@ def nees_landmarks(estimate: Array, truth: Array, walls: NDArray[np.bool_], cov:
     `estimate`, `truth` (M, 2) world frame; of those marked in `walls` (M,) the first column is an angle, and its error
     is wrapped; `cov` (M, 2, 2) full rank. Landmarks of one run share errors, so these are not independent samples.
     """
-    return squares(*observation_innovations(estimate, cov, truth, walls))
+    return squares(*innovations_of(estimate, cov, truth, walls))
 
 
 def landmark_covariances(joint: Array) -> Array:

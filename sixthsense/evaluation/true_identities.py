@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig, LaserNoise
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Observation, innovations, predict_walls
+from sixthsense.core.landmarks import Observation, innovations, predict
 from sixthsense.core.laser import beam_angles
 from sixthsense.core.motion import variance
 from sixthsense.core.ray_casting import hit_walls
@@ -141,7 +141,7 @@ def distinguished(first: Identity, second: Identity, seen: Identified, position:
     if seen.fit_cov is None or "point" in (first[0], second[0]):
         return first != second
     faces = np.array([_face_line(scene, face) for face in (first, second)])
-    both, _, _ = predict_walls(Pose(position[0], position[1], 0.0), faces)
+    both, _, _ = predict(Pose(position[0], position[1], 0.0), faces, np.ones(len(faces), dtype=np.bool_))
     off = innovations(both[0], both[1], np.array(True))
     return float(off @ np.linalg.solve(seen.fit_cov, off)) >= _SIGMAS**2
 

@@ -17,10 +17,11 @@ import numpy as np
 from sixthsense.config import ISAM2Config
 from sixthsense.core.arcs import arc_jacobian
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation, predict_points
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, rk4
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.slam.estimators import make_estimator
+from sixthsense.testing.sight import predict_points
 
 STEPS, STEP_S = 2500, 1.0
 SPEED, TURN_RATE = 0.25, math.radians(1.5)  # m/s, rad/s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, predict_points
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.testing.estimation import (
     assert_same,
@@ -20,6 +20,7 @@ from sixthsense.testing.estimation import (
     step,
 )
 from sixthsense.testing.laws import Laws, raises
+from sixthsense.testing.sight import predict_points
 
 LAWS = Laws()
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation, initialize_point, predict_points
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, initialize_point
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator, make_estimator
+from sixthsense.testing.sight import predict_points
 
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
 START = Pose(0.3, -0.2, 0.4)

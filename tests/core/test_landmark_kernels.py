@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmark_kernels import stacked
-from sixthsense.core.landmarks import (
-    line_errors,
-    observation_innovations,
-    predict,
-    predict_points,
-    predict_walls,
-    translated,
-)
+from sixthsense.core.landmark_kernels import innovations_of, stacked, translations
+from sixthsense.core.landmarks import line_errors, predict
+from sixthsense.testing.sight import predict_points, predict_walls
 
 
 def covariances(rng, n):
@@ -42,7 +36,7 @@ def test_predictions(case):
 def test_translations(case):
     rng, _, landmarks, walls = case
     by = rng.normal(size=landmarks.shape)
-    moved, jacobian = translated(landmarks, walls, by)
+    moved, jacobian = translations(landmarks, walls, by)
     alpha = landmarks[:, 0]
     normal, along = np.column_stack([np.cos(alpha), np.sin(alpha)]), np.column_stack([-np.sin(alpha), np.cos(alpha)])
     offset = landmarks[:, 1] + (normal * by).sum(axis=1)
@@ -55,7 +49,7 @@ def test_translations(case):
 def test_innovations(case):
     rng, _, predicted, walls = case
     z, cov = predicted + rng.normal(size=predicted.shape), covariances(rng, len(walls))
-    values, about = observation_innovations(z, cov, predicted, walls)
+    values, about = innovations_of(z, cov, predicted, walls)
     turn, (lever, of_turn, of_shift) = wrap_angle(z[:, 0] - predicted[:, 0]), line_errors(cov)
     turned = lever * np.cos(turn) + z[:, 1] * np.sin(turn)
     gap = z[:, 1] * np.cos(turn) - lever * np.sin(turn) - predicted[:, 1] + turned * turn

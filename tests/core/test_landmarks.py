@@ -2,15 +2,8 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import (
-    Kind,
-    Observation,
-    initialize_landmark,
-    innovations,
-    observation_innovations,
-    predict,
-    translated,
-)
+from sixthsense.core.landmark_kernels import innovations_of, translations
+from sixthsense.core.landmarks import Kind, Observation, initialize_landmark, innovations, predict
 
 
 def differences(function, at, step=1e-6):
@@ -32,7 +25,7 @@ def test_jacobians_agree_with_finite_differences(kind, seed):
         return initialize_landmark(Pose(*x), Observation(kind, z, cov))[0]
 
     def shifted(landmark):
-        return translated(landmark[None], is_wall, by)[0][0]
+        return translations(landmark[None], is_wall, by)[0][0]
 
     (z,), (by_pose,), (by_landmark,) = predict(pose, landmark[None], is_wall)
     assert np.allclose(by_pose, differences(lambda x: seen(x, landmark), pose.array()), atol=1e-8)
@@ -41,7 +34,7 @@ def test_jacobians_agree_with_finite_differences(kind, seed):
     assert np.allclose(mean, landmark, atol=1e-12)  # where its prediction is the observation
     assert np.allclose(by_pose, differences(lambda x: initialized(x, z), pose.array()), atol=1e-8)
     assert np.allclose(by_z, differences(lambda z: initialized(pose.array(), z), z), atol=1e-8)
-    assert np.allclose(translated(landmark[None], is_wall, by)[1][0], differences(shifted, landmark), atol=1e-8)
+    assert np.allclose(translations(landmark[None], is_wall, by)[1][0], differences(shifted, landmark), atol=1e-8)
 
 
 def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
@@ -54,7 +47,7 @@ def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
         levers.append(along @ place)
     to_foot = np.array([[1.0, 0.0], [levers[1], 1.0]])
     cov = to_foot @ np.diag([0.1**2, 0.01**2]) @ to_foot.T
-    (values,), (about,) = observation_innovations(lines[1][None], cov[None], lines[0][None], np.ones(1, bool))
+    (values,), (about,) = innovations_of(lines[1][None], cov[None], lines[0][None], np.ones(1, bool))
     assert values[0] == pytest.approx(turn)
     # All of it is explained by the direction's sigma.
     assert values @ np.linalg.solve(about, values) == pytest.approx((turn / 0.1) ** 2)
@@ -70,7 +63,7 @@ def test_innovations_about_the_centre_are_the_plain_ones_to_first_order():
     cov = root @ root.transpose(0, 2, 1)
     for small in (1e-3, 1e-5):
         z = predicted + small * rng.normal(size=(3, 2))
-        values, about = observation_innovations(z, cov, predicted, walls)
+        values, about = innovations_of(z, cov, predicted, walls)
         plain = innovations(z, predicted, walls)
         assert np.abs(values - plain).max() < 100.0 * small**2
         assert np.abs(about - cov).max() < 100.0 * small

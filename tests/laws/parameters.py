@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation, predict_points
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
@@ -19,6 +19,7 @@ from sixthsense.testing import posterior
 from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
 from sixthsense.testing.estimation import POINTS, START, START_COV, assert_same, joint_state, make, noisy, sight
 from sixthsense.testing.laws import Laws, raises
+from sixthsense.testing.sight import predict_points
 
 LAWS = Laws()
 

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmark_kernels import line_ends
-from sixthsense.core.landmarks import Observation, line_errors, observation_innovations, observed_centre
+from sixthsense.core.landmark_kernels import innovations_of, line_ends
+from sixthsense.core.landmarks import Observation, line_errors, observed_centre
+from sixthsense.core.se2 import wrapped
 from sixthsense.slam.estimators.base import Estimate
 
 Mask = NDArray[np.bool_]
@@ -147,8 +148,7 @@ def _distances(
                 continue
             x, y = 0.5 * (ends[i, 0, 0] + ends[i, 1, 0]), 0.5 * (ends[i, 0, 1] + ends[i, 1, 1])
             out[0, i, j] = abs(c * x + s * y - landmarks[j, 1])
-            turn = (alphas[i] - landmarks[j, 0] + math.pi) % (2.0 * math.pi) - math.pi
-            out[1, i, j] = abs(turn)
+            out[1, i, j] = abs(wrapped(alphas[i] - landmarks[j, 0]))
             a, b = c * ends[i, 0, 1] - s * ends[i, 0, 0], c * ends[i, 1, 1] - s * ends[i, 1, 0]
             out[2, i, j] = max(min(a, b), min(first, last)) - min(max(a, b), max(first, last))
 
@@ -180,7 +180,7 @@ def collinear_pairs(
 
 def disagreement(first: Array, second: Array, cov: Array) -> float:
     """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
-    (gap,), (about,) = observation_innovations(first[None], cov[None], second[None], _ONE_WALL)
+    (gap,), (about,) = innovations_of(first[None], cov[None], second[None], _ONE_WALL)
     return float(gap @ np.linalg.solve(about, gap))
 
 
@@ -196,7 +196,7 @@ def joined(landmark: Array, first: Array, second: Array) -> Array:
 
 def fused(first: Observation, second: Observation) -> Observation:
     """One observation of a wall from two pieces of it in the same scan, whose errors are independent."""
-    (gap,), (second_cov,) = observation_innovations(second.z[None], second.cov[None], first.z[None], _ONE_WALL)
+    (gap,), (second_cov,) = innovations_of(second.z[None], second.cov[None], first.z[None], _ONE_WALL)
     gain = first.cov @ np.linalg.inv(first.cov + second_cov)
     turn, shift = gain @ gap
     lever, _, _ = line_errors(first.cov)

@@ -14,8 +14,8 @@ from scipy.linalg.lapack import dpotrf
 
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmark_kernels import stacked
-from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, translated
+from sixthsense.core.landmark_kernels import innovations_of, stacked, translations
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import turned_covariance
@@ -70,7 +70,7 @@ class EKF:
         check_prior(prior, self._has_begun)
         middles = prior.extents.mean(axis=1) - self._origin
         self._centres = np.where(prior.walls[:, None] & self._has_centres, middles, 0.0)
-        means, jacobian = translated(prior.landmarks, prior.walls, -(self._origin + self._centres))
+        means, jacobian = translations(prior.landmarks, prior.walls, -(self._origin + self._centres))
         to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
         self._cov = np.asfortranarray(block_diag(self._cov, to_start @ prior.cov @ to_start.T))
         self._means, self._anchors, self._walls = means, means.copy(), prior.walls.copy()
@@ -127,7 +127,7 @@ class EKF:
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         self._propagate()
-        landmarks, _ = translated(self._means, self._walls, self._origin + self._centres)
+        landmarks, _ = translations(self._means, self._walls, self._origin + self._centres)
         ids = np.array(list(self._slots), dtype=np.int64)
         return Estimate(self._in_world(self._pose), self._symmetric(np.arange(3)), ids, landmarks, self._walls.copy())
 
@@ -136,7 +136,7 @@ class EKF:
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
         joint = self._about_estimates(self._symmetric(self._pose_and_landmarks(slots)), slots)
-        _, jacobian = translated(self._means[slots], self._walls[slots], self._origin + self._centres[slots])
+        _, jacobian = translations(self._means[slots], self._walls[slots], self._origin + self._centres[slots])
         for k in np.flatnonzero(self._walls[slots]):
             at = slice(3 + 2 * k, 5 + 2 * k)
             joint[at] = jacobian[k] @ joint[at]
@@ -224,7 +224,7 @@ class EKF:
             if (bend := observation.bend) is not None:
                 cov[k] -= bend.cov
                 self._renew(int(slots[k]), 2.0 * (1.0 - bend.kept) * bend.cov, by_landmark[k])
-        innovation, noise = observation_innovations(z, cov, predicted, walls)
+        innovation, noise = innovations_of(z, cov, predicted, walls)
         H = stacked(by_pose, by_landmark, self._head)  # the non-zero columns of H
         for k, observation in enumerate(observations):
             if observation.sensor is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import predictions, translations
-from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre, translated
+from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.core.sensor import Sensor
@@ -117,7 +117,7 @@ def new_landmark(pose: Pose, point: Array, observation: Observation, has_centre:
 
 def _initialized(pose: Pose, observation: Observation, centre: Array) -> tuple[Array, Array, Array]:
     mean, by_pose, by_z = initialize_landmark(pose, observation)
-    about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre[None])
+    about, by_mean = translations(mean[None], np.array([observation.is_wall]), -centre[None])
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z
 
 

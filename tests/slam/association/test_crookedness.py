@@ -6,9 +6,10 @@ from scanned import look
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import WallShape, initialize_landmark, innovations, predict_walls
+from sixthsense.core.landmarks import WallShape, initialize_landmark, innovations
 from sixthsense.slam.association.records import Crookedness, MeanShape, less_certain
 from sixthsense.slam.features import extract
+from sixthsense.testing.sight import predict_walls
 
 VARIANCES = (4e-6, 9e-6)
 

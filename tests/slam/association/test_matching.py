@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmark_kernels import stacked
-from sixthsense.core.landmarks import Kind, Observation, observation_innovations, predict
+from sixthsense.core.landmark_kernels import innovations_of, stacked
+from sixthsense.core.landmarks import Kind, Observation, predict
 from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Observed
 from sixthsense.slam.association.records import less_certain
@@ -40,7 +40,7 @@ def pairwise(seen, estimate, joint):
     n, found = len(z), []
     for observation in seen:
         less = np.array([less_certain(observation, square).cov for square in SQUARES])
-        found.append(observation_innovations(np.tile(observation.z, (n, 1)), less, z, estimate.walls))
+        found.append(innovations_of(np.tile(observation.z, (n, 1)), less, z, estimate.walls))
     return (*map(np.array, zip(*found, strict=True)), H @ joint @ H.T, H @ joint[:, :3])
 
 

@@ -10,7 +10,7 @@ from scanned import box, look
 
 from sixthsense.config import AssociationConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, predict_walls
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
@@ -21,6 +21,7 @@ from sixthsense.slam.estimators.isam2_factors import lines, measurement
 from sixthsense.slam.features import extract
 from sixthsense.sources.scene import load_scene
 from sixthsense.testing.estimation import joint_state
+from sixthsense.testing.sight import predict_walls
 
 WALLS = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0], [-math.pi / 2, -4.5], [0.7, -6.0], [2.4, -5.0]])
 ROOM = box(-3, -2, 6, 4)

@@ -9,11 +9,11 @@ from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.metrics import nees_band, nees_invariant
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.estimation import CONSISTENT, POINTS, joint_state, make, noisy, sight, step
+from sixthsense.testing.sight import predict_points
 
 LAP, RADIUS = 40, 4.0
 ROUND = Pose(2.0 * math.pi * RADIUS / LAP, 0.0, 2.0 * math.pi / LAP)

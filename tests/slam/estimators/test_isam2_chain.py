@@ -10,11 +10,12 @@ from laws.nees import assert_consistent, error_of, normalised
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, predict, predict_walls
+from sixthsense.core.landmarks import Kind, Observation, predict
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link
 from sixthsense.slam.estimators.isam2_chain import map_gain
 from sixthsense.testing.estimation import POINTS, START, driven, joint_state, make, noisy, sight, step
+from sixthsense.testing.sight import predict_walls
 
 SPARING = ISAM2Config(undo_probability=1.0, least_gain=0.05)
 KEEPING = dataclasses.replace(SPARING, least_gain=0.0)

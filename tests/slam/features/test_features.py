@@ -7,13 +7,15 @@ from scanned import box, look
 
 from sixthsense.config import PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, observation_innovations, predict_walls
+from sixthsense.core.landmark_kernels import innovations_of
+from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
 from sixthsense.slam.features.lines import ransac
 from sixthsense.slam.features.partition import partition, split, split_pieces
+from sixthsense.testing.sight import predict_walls
 
 
 def corners():
@@ -288,7 +290,7 @@ def test_a_walls_distance_about_its_middle_is_consistent_for_short_and_far_walls
             scan_from(pose, config, rng, walls=wall), config.assumed, config.features, rng
         ).observations:
             expected, _, _ = predict_walls(pose, np.array([[math.pi, -3.0]]))
-            (error,), (cov,) = observation_innovations(observation.z[None], observation.cov[None], expected, is_wall)
+            (error,), (cov,) = innovations_of(observation.z[None], observation.cov[None], expected, is_wall)
             across = np.array([-cov[0, 1] / cov[0, 0], 1.0])  # what its angle does not tell
             bias.append(across @ error / math.sqrt(across @ cov @ across))
             nees.append(error @ np.linalg.solve(cov, error))
