@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from bags import Bag
 
 from sixthsense.core.geometry import Array, Pose
 
@@ -111,78 +110,20 @@ def _text(pose: Pose) -> str:
     return f"{pose.x:.9f} {pose.y:.9f} {pose.theta:.9f}"
 
 
-class Bag:
-    """A ROS 2 bag of a drive."""
-
-    def __init__(self, folder: Path) -> None:
-        self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._writer = Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP)
-        self._topics: dict[str, object] = {}
-
-    def __enter__(self) -> Bag:
-        self._writer.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._writer.close()
-
-    def _make(self, name: str, *values: object) -> object:
-        package, kind = name.split("/")
-        return self._store.types[f"{package}/msg/{kind}"](*values)
-
-    def _write(self, topic: str, name: str, stamp_ns: int, *values: object) -> None:
-        kind = name.replace("/", "/msg/")
-        if topic not in self._topics:
-            self._topics[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
-        message = self._make(name, *values)
-        self._writer.write(self._topics[topic], stamp_ns, self._store.serialize_cdr(message, kind))
-
-    def _header(self, stamp_ns: int, frame: str) -> object:
-        return self._make("std_msgs/Header", self._make("builtin_interfaces/Time", *divmod(stamp_ns, 10**9)), frame)
-
-    def _turn(self, pose: Pose) -> object:
-        return self._make("geometry_msgs/Quaternion", 0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
-
-    def _pose(self, pose: Pose) -> object:
-        return self._make(
-            "geometry_msgs/Pose", self._make("geometry_msgs/Point", pose.x, pose.y, 0.0), self._turn(pose)
-        )
-
-    def odometry(self, stamp_ns: int, pose: Pose) -> None:
-        """What the wheels say."""
-        still, cov = self._make("geometry_msgs/Vector3", 0.0, 0.0, 0.0), np.zeros(36)
-        spread = self._make("geometry_msgs/PoseWithCovariance", self._pose(pose), cov)
-        twist = self._make("geometry_msgs/TwistWithCovariance", self._make("geometry_msgs/Twist", still, still), cov)
-        self._write("/odom", "nav_msgs/Odometry", stamp_ns, self._header(stamp_ns, "odom"), "base", spread, twist)
-
-    def truth(self, stamp_ns: int, pose: Pose) -> None:
-        """Where the robot is."""
-        self._write("/truth", "geometry_msgs/PoseStamped", stamp_ns, self._header(stamp_ns, "map"), self._pose(pose))
-
-    def scan(self, stamp_ns: int, ranges: Array) -> None:
-        """What the laser sees."""
-        row, angles = ranges.astype(np.float32), (FIRST, FIRST + STEP * (BEAMS - 1), STEP)
-        header = self._header(stamp_ns, "laser")
-        rest = (0.0, 0.13, 0.05, MAX_RANGE, row, row[:0])
-        self._write("/scan", "sensor_msgs/LaserScan", stamp_ns, header, *angles, *rest)
-
-    def mount(self, parent: str, child: str, pose: Pose, up_m: float) -> None:
-        """A transform that stays."""
-        shift = self._make("geometry_msgs/Vector3", pose.x, pose.y, up_m)
-        link = self._make("geometry_msgs/Transform", shift, self._turn(pose))
-        stamped = self._make("geometry_msgs/TransformStamped", self._header(0, parent), child, link)
-        self._write("/tf_static", "tf2_msgs/TFMessage", 0, [stamped])
+def _scan(bag: Bag, drive: Drive, k: int, shift_m: float) -> None:
+    laser = {"first": FIRST, "step": STEP, "low": 0.05, "high": MAX_RANGE}
+    bag.scan(FIRST_NS + k * SCAN_NS, drive.ranges(k, shift_m), **laser)
 
 
 def bag_folder(drive: Drive, folder: Path, shift_m: float) -> None:
     """The drive as somebody else's bag: scans between odometry, and the mount in two steps, one of them turned."""
     with Bag(folder) as bag:
-        bag.mount("base", "plate", Pose(0.3, 0.11, -0.8), 0.2)
-        bag.mount("plate", "laser", Pose(0.3, 0.11, -0.8).inverse() @ MOUNT, 0.1)
+        bag.transform("base", "plate", Pose(0.3, 0.11, -0.8), up=0.2)
+        bag.transform("plate", "laser", Pose(0.3, 0.11, -0.8).inverse() @ MOUNT, up=0.1)
         for n, (stamp_ns, pose) in enumerate(zip(drive.stamps_ns(), drive.wheels(), strict=True)):
-            bag.odometry(stamp_ns - 11_000_000, pose)
+            bag.odometry(stamp_ns - 11_000_000, pose, child="base")
             if n % TICKS == 0 and n:
-                bag.scan(stamp_ns, drive.ranges(n // TICKS, shift_m))
+                _scan(bag, drive, n // TICKS, shift_m)
 
 
 def run_folder(drive: Drive, folder: Path, shift_m: float) -> None:
@@ -193,8 +134,9 @@ def run_folder(drive: Drive, folder: Path, shift_m: float) -> None:
     (folder / "config.toml").write_text(f'scene = "{folder.with_suffix(".toml")}"\nseed = 5\n[laser]\n{laser}')
     with Bag(folder / "bag") as bag:
         for n, (stamp_ns, pose) in enumerate(zip(drive.stamps_ns(), drive.wheels(), strict=True)):
-            bag.odometry(stamp_ns, pose)
-            bag.truth(stamp_ns, drive.pose(stamp_ns))
+            bag.odometry(stamp_ns, pose, child="base")
+            truth = bag.header(stamp_ns, "map"), bag.pose(drive.pose(stamp_ns))
+            bag.put("/truth", "geometry_msgs/PoseStamped", stamp_ns, *truth)
             if n % TICKS == 0:
-                bag.scan(stamp_ns, drive.ranges(n // TICKS, shift_m))
+                _scan(bag, drive, n // TICKS, shift_m)
     (folder / "bag" / "bag.mcap").rename(folder / "bag" / "bag_0.mcap")

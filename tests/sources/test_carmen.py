@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from sixthsense import cli
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
@@ -41,13 +40,6 @@ def flaser(
 ) -> str:
     poses = f"{pose_text(robot @ mount)} {pose_text(robot)}"
     return f"FLASER {len(ranges)} {' '.join(f'{r:.2f}' for r in ranges)} {poses} {stamp} nohost {stamp}\n"
-
-
-def robotlaser(ranges: Sequence[float], stamp: float, robot: Pose, mount: Pose) -> str:
-    poses = f"{pose_text(robot @ mount)} {pose_text(robot)}"
-    text = " ".join(f"{r:.2f}" for r in ranges)
-    rest = f"0.1 0.0 0.4 0.2 1.0 {stamp:.6f} nohost {stamp:.6f}"
-    return f"ROBOTLASER1 0 -2.356194 4.712389 1.570796 30.00 0.01 0 {len(ranges)} {text} 0 {poses} {rest}\n"
 
 
 def written(folder: Path, text: str | bytes, name: str = "some.log") -> Path:
@@ -208,38 +200,6 @@ def test_the_value_that_beams_without_a_return_repeat_is_found(max_range: float,
         scans.append(np.where(np.isfinite(ranges), ranges.round(2), code).astype(np.float32))
     assert sum((scan == np.float32(code)).sum() for scan in scans) > 100
     assert 0.996 * code <= max_range_of(scans) <= code  # what is lost are the last thousandths of the reach
-
-
-def test_a_robotlaser_line_states_its_own_geometry(tmp_path: Path) -> None:
-    mount, poses = Pose(0.1, 0.02, 0.3), path_of(6)
-    log = read(tmp_path, "".join(robotlaser([1, 2, 3, 4], k, p, mount) for k, p in enumerate(poses)))
-    scan = log.scans[0]
-    assert scan.bearings == pytest.approx([-2.356194, -0.785398, 0.785398, 2.356194], abs=1e-5)
-    assert scan.max_range == 30.0
-    assert (scan.T_robot_laser.x, scan.T_robot_laser.theta) == pytest.approx((0.1, 0.3), abs=2e-6)
-    assert [tick.odometry.x for tick in log.ticks] == pytest.approx([pose.x for pose in poses])
-    assert log.ticks[3].log_stamp_s == 3.0
-    assert log.remarks() == []
-
-
-def test_an_unknown_log_is_replayed_with_the_defaults(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A drive around a room with a scanner of 180 degrees, 181 beams, reach 8 m, code 8.19."""
-    mount, lines = Pose(0.2, 0.05, 0.0), []
-    poses = [Pose(0.5 * math.sin(0.1 * k), 0.3 * math.sin(0.07 * k), 0.05 * k) for k in range(60)]
-    for k, robot in enumerate(poses):
-        ranges = cast_rays(robot @ mount, np.linspace(-math.pi / 2, math.pi / 2, 181), ROOM[:3], 8.0)
-        lines.append(flaser(100.0 + 0.2 * k, np.where(np.isfinite(ranges), ranges, 8.19), robot, mount))
-    file, relations = written(tmp_path, "".join(lines), "drive.log"), tmp_path / "some.relations"
-    between = poses[0].inverse() @ poses[50]
-    relations.write_text(f"100 110 {between.x} {between.y} 0 0 0 {between.theta}\n")
-    args = ["replay", str(file), "--relations", str(relations), "--out", str(tmp_path / "out")]
-    assert cli.main(args) == cli.DONE
-    said = capsys.readouterr().err
-    assert "181 beams from -90 to 90 degrees" in said and "ranges from 8.17 m on are no returns" in said
-    run = ss.load(tmp_path / "out")
-    assert run.trace.config.laser.mount == (0.2, 0.05, 0.0)
-    assert run.outcome == "log ended"
-    assert run.metrics["relations_trans_m_mean"] < 0.05
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
+from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.loop.run import replay
 from sixthsense.sources.logs import open_log
@@ -23,8 +23,6 @@ from sixthsense.sources.logs.text_lines import LogError
 CIRCLED = {1000: (3.0, 1.0), 1001: (0.0, 4.0), 1002: (-2.0, 2.0), 1003: (1.0, -2.0)}
 MOTION = "ODOMETRY {} {} 1.0 0.1 0.2 1e-4 0 0 1e-4 0 1e-4\n"
 SEEN = "LANDMARK {} {} {} {} 0.01 0 0.01\n"
-SMALL = MOTION.format(0, 1) + SEEN.format(1, 5, 2.0, 1.0) + MOTION.format(1, 2) + SEEN.format(2, 5, 1.1, 0.6)
-ASSUMED = merge(AssumedConfig(), {"laser": {"range_m": 0.02, "bearing_rad": 0.01}})
 BARCODES = {1: 5, 2: 14, 6: 63, 7: 81, 8: 7}
 PLACES = {6: (4.0, 0.5), 7: (4.5, -0.5), 8: (5.0, 1.5)}
 START = Pose(1.0, 0.2, 0.1)

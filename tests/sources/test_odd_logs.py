@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from robot_bag import MOUNT, T0_NS, off_walls_m, robot_bag, way
+from bags import KINDS, Bag
+from robot_bag import MOUNT, T0_NS, WALLS, off_walls_m, robot_bag, way
 
 import sixthsense as ss
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.bag_file import opened
@@ -19,7 +21,7 @@ from sixthsense.sources.logs.text_lines import LogError
 
 TF = (("tf", "base_footprint", "base_link", Pose()), ("tf", "base_link", "laser", MOUNT))
 BACKWARDS = (("static", "laser", "base_footprint", MOUNT.inverse()),)
-NAN = np.full(240, np.nan)
+NAN, S = np.full(240, np.nan), 10**9
 
 
 def at(k, key, value, when=lambda k: True):
@@ -101,6 +103,12 @@ def test_an_odd_bag_has_its_returns_on_the_walls_and_says_what_is_odd(name, tmp_
     assert any(said in note for note in notes) if said else not notes
 
 
+def in_turn(n):
+    """Ranges of a laser that looks ahead, and of one that looks back, of a robot that stands."""
+    place = way(0.3) @ MOUNT @ (Pose(-0.5, 0.0, math.pi) if n % 2 else Pose())
+    return cast_rays(place, -2.0 + math.radians(1.2) * np.arange(240), WALLS, 100.0)
+
+
 # name: keywords of the bag, what is said
 REFUSED = {
     "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or --units angles="),
@@ -108,6 +116,7 @@ REFUSED = {
     "centimetres": ({"scan": at(every, "unit", 100.0)}, "millimetres or centimetres"),
     "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or --units odometry=mm"),
     "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by --topic /rear or /scan"),
+    "two lasers": ({"scan": at(every, "ranges", in_turn)}, "found scans of two lasers in turn, all of frame laser"),
     "no scan of any use": ({"scan": at(every, "count", 1)}, "found a scan of 1 ranges, allowed: 2 to"),
 }  # fmt: skip
 
@@ -203,7 +212,7 @@ def test_every_return_that_is_used_lies_where_its_own_message_has_it(data_dir):
 
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite"])
-def test_bags_are_known_by_content_in_pieces_without_metadata_and_cut(kind, tmp_path):
+def test_bags_are_known_by_content_in_pieces_and_without_metadata(kind, tmp_path):
     bag = robot_bag(tmp_path / "bag", kind)
     file = next(each for each in bag.iterdir() if each.suffix != ".yaml")
     named = tmp_path / "robot.log"
@@ -215,11 +224,48 @@ def test_bags_are_known_by_content_in_pieces_without_metadata_and_cut(kind, tmp_
         log = open_log(path)
         assert [tick.stamp_ns for tick in log.ticks] == [tick.stamp_ns for tick in whole.ticks]
     assert any("metadata.yaml is not there" in note for note in log.remarks())
-    if kind == "mcap":
-        file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
-        cut = open_log(bag)
-        assert 20 < len(cut.scans) < 60 and "is cut short: the" in cut.remarks()[0]
-        assert off_walls_m(cut.ticks) < 1e-4
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_bag_that_is_cut_short_is_read_up_to_the_cut_or_refused_in_one_line(kind, share, tmp_path, complaint):
+    path = robot_bag(tmp_path / "bag", kind, seconds=2.0)
+    file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    if kind == "mcap" and share:
+        log = open_log(path)
+        assert 0.8 * share * 20 - 1 < len(log.scans) <= 20 and f"{file.name} is cut short: the" in log.remarks()[0]
+        assert off_walls_m(log.ticks) < 1e-4
+    else:
+        complaint("replay", path, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("high", [np.inf, 3e38, 1e6])
+def test_a_range_max_that_no_laser_has_is_replaced_by_what_the_ranges_say(high, tmp_path):
+    def log(name, rows):
+        with Bag(tmp_path / name) as bag:
+            for k, row in enumerate(rows):
+                bag.odometry(k * S, Pose(0.1 * k, 0.2, 0.3))
+                bag.scan(k * S, row, high=high)
+        return open_log(bag.path)
+
+    scan = log("one", [[1.0, 7.5, np.inf, np.nan]]).scans[0]
+    assert scan.max_range == pytest.approx(7.5) and scan.max_range > 7.5
+    assert scan.ranges.tolist() == [1.0, 7.5, np.inf, np.inf]
+    many = log("many", [[1.0, 2.0, *[65.53] * 6, 3.0 + 0.1 * k] for k in range(20)])
+    assert many.scans[5].ranges.tolist() == [1.0, 2.0, *[np.inf] * 6, 3.5]
+    assert any(line.startswith("assumed: a laser of 65.39 m") for line in many.remarks())
+
+
+def test_a_bag_with_scans_alone_has_no_odometry_the_frame_of_the_mount_is_the_robot_and_its_run_says_so(tmp_path):
+    run = ss.replay(robot_bag(tmp_path / "bag", odom=only(lambda n: False)["odom"], seconds=3.0), out=tmp_path / "out")
+    log = open_log(tmp_path / "bag")
+    assert not log.has_odometry and len(log.ticks) == 30
+    assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array())
+    assert "no_odometry = true" in (tmp_path / "out" / "config.toml").read_text()
+    assert np.array_equal(ss.replay(tmp_path / "out").trace.estimates, run.trace.estimates)
+    assert not open_log(robot_bag(tmp_path / "with", seconds=1.0), odometry=False).has_odometry
 
 
 # CARMEN
@@ -259,13 +305,18 @@ def test_each_robotlaser_line_has_its_own_beams(tmp_path):
         off = (0, 1, 3, 2)[k % 4]
         count, start = 181 - (off > 0), math.radians(-90 + 0.25 * off)
         ranges = " ".join(f"{2.0 + 0.01 * i:.2f}" for i in range(count))
-        pose = f"{0.1 * k:.3f} 0.2 0.3"
-        return f"ROBOTLASER1 0 {start:.6f} {math.radians(count - 1):.6f} {math.radians(1):.6f} 81.9 0.01 0 {count} {ranges} 0 {pose} {pose} 0 0 0 0 0 {k} h {k}\n"  # noqa: E501
+        robot = Pose(0.1 * k, 0.2, 0.3)
+        poses = " ".join(f"{value:.6f}" for pose in (robot @ MOUNT, robot) for value in pose.array())
+        angles = f"{start:.6f} {math.radians(count - 1):.6f} {math.radians(1):.6f}"
+        return f"ROBOTLASER1 0 {angles} 81.9 0.01 0 {count} {ranges} 0 {poses} 0 0 0 0 0 {k} h {k}\n"
 
     log = open_log(carmen(tmp_path / "a.clf", line))
     assert [len(scan.ranges) for scan in log.scans[:4]] == [181, 180, 180, 180]
     assert np.degrees([scan.bearings[7] for scan in log.scans[:4]]) == pytest.approx(
         [-83, -82.75, -82.25, -82.5], abs=1e-3
     )
+    assert log.scans[3].max_range == 81.9 and log.ticks[3].log_stamp_s == 3.0
+    assert log.scans[3].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=2e-6)
+    assert log.ticks[7].odometry.array() == pytest.approx([0.7, 0.2, 0.3])
     with pytest.raises(LogError, match="found angles of -90 to 90, which are degrees"):
         open_log(carmen(tmp_path / "b.clf", lambda k: line(0).replace("-1.570796 3.141593 0.017453", "-90 180 1")))

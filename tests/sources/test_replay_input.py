@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_rosbag import Bag
+from bags import Bag
 
 from sixthsense.config import ConfigError, merge, preset
 from sixthsense.core.geometry import Pose
@@ -28,10 +28,10 @@ def logs(tmp_path: Path) -> dict[str, Path]:
     ):  # fmt: skip
         (tmp_path / folder).mkdir()
         (tmp_path / folder / name).write_text(text)
-    with Bag(tmp_path / "bag", "mcap") as bag:
+    with Bag(tmp_path / "bag") as bag:
         for k in range(9):
-            bag.odometry("/odom", S + k * S, Pose(0.3 * k, 0.2, 0.4))
-            bag.scan("/scan", S + k * S, [2.5, 3.5, 4.5])
+            bag.odometry(S + k * S, Pose(0.3 * k, 0.2, 0.4))
+            bag.scan(S + k * S, [2.5, 3.5, 4.5])
     kinds = {"carmen": "a.log", "graph": "a.g2o", "bag": "bag", "run": "run", "mrclam": "mrclam"}
     return {kind: tmp_path / name for kind, name in kinds.items()}
 
@@ -90,8 +90,8 @@ def test_a_log_is_opened_with_its_laser_or_the_one_stated_and_without_odometry_i
     without = open_recorded(logs["bag"], merge(base, {"no_odometry": True}), chosen=Chosen(topics=("/scan",)))
     assert not without.log.has_odometry and without.files["topic"] == "/scan"
     assert any(note.startswith("no odometry is used") for note in without.notes)
-    with Bag(logs["run"].parent / "scans", "mcap") as bag:
-        bag.scan("/scan", S, [2.5, 3.5, 4.5])
+    with Bag(logs["run"].parent / "scans") as bag:
+        bag.scan(S, [2.5, 3.5, 4.5])
     assert open_recorded(bag.path, base).config.no_odometry
 
 

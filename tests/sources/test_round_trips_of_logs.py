@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import KINDS, Bag
 from general import covariances, matrix, numbers, poses, some, tilts, turned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from test_rosbag import Bag
 
 from sixthsense.config import AssumedConfig, LaserConfig, merge
 from sixthsense.core.geometry import Pose, wrap_angle
@@ -89,7 +89,7 @@ def test_where_poses_do_not_say_it_a_carmen_log_has_the_mount_and_range_of_its_p
 
 
 @few
-@given(st.sampled_from(["ros1", "mcap", "sqlite"]), poses, small, poses, tilts, st.booleans(), steps_ns)
+@given(st.sampled_from(KINDS), poses, small, poses, tilts, st.booleans(), steps_ns)
 def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_frames(
     kind, start, step, mount, tilted, is_upside_down, steps
 ):
@@ -102,9 +102,9 @@ def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_fra
             turn = tuple(Rotation.from_matrix(T[:3, :3]).as_quat())
             bag.transform(parent, child, Pose(*T[:2, 3]), turn, up=float(T[2, 3]))
         for k, (stamp, pose) in enumerate(zip(stamps, way, strict=True)):
-            bag.odometry("/wheels", stamp, pose, tilted=turned(pose.theta, tilted))
+            bag.odometry(stamp, pose, "/wheels", turn=turned(pose.theta, tilted))
             if k + 1 < len(way):
-                bag.scan("/scan", stamp, ranges, 7, first, 0.3, frame="laser", lag=sweep_ns / 4e9)
+                bag.scan(stamp, ranges, first=first, step=0.3, lag=sweep_ns / 4e9, low=0.1, record_ns=stamp + 7)
     found = read_poses(bag.path, "/wheels")
     assert (found.parent, found.child, found.stamps_ns.tolist()) == ("odom", "base_footprint", stamps)
     expected = [[pose.x, pose.y, 0.0, *turned(pose.theta, tilted)] for pose in way]
@@ -145,7 +145,7 @@ def test_a_planar_covariance_stands_at_x_y_and_yaw_of_six_and_comes_back(cov):
 def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_between(before, moving, tilted, after):
     links = [matrix(p.x, p.y, 0.3, turned(p.theta, tilted)) for p in (before, moving, after)]
     names, product = ("world", "odom", "wheels", "base"), links[0] @ links[1] @ links[2]
-    with Bag(Path(tempfile.mkdtemp()) / "x", "mcap") as bag:
+    with Bag(Path(tempfile.mkdtemp()) / "x") as bag:
         for k in (0, 2):
             place, turn = links[k][:3, 3], tuple(Rotation.from_matrix(links[k][:3, :3]).as_quat())
             bag.transform(names[k], names[k + 1], Pose(*place[:2]), turn, up=float(place[2]))
@@ -153,7 +153,7 @@ def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_be
         for k in range(3):
             shift = Pose(moving.x + 0.1 * k, moving.y)
             bag.transform("odom", "wheels", shift, turn, up=0.3, stamp_ns=BEGAN + k * S // 10)
-            bag.scan("/scan", BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
+            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
     log = open_log(bag.path, LaserConfig(), odometry_frames=("world", "base"))
     (x, y), yaw = product[:2, 3], math.atan2(product[1, 0], product[0, 0])
     close(log.ticks[0].odometry, Pose(x, y, yaw))
@@ -164,12 +164,13 @@ def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_be
     close(log.ticks[-1].odometry, Pose(x + ahead[0], y + ahead[1], yaw))
 
 
-def test_of_two_frames_that_a_robot_moves_in_the_named_one_is_its_odometry(tmp_path):
-    with Bag(tmp_path / "x", "mcap") as bag:
+def test_of_odometry_and_two_frames_that_a_robot_moves_in_the_named_one_is_its_odometry(tmp_path):
+    with Bag(tmp_path / "x") as bag:
         for k in range(3):
+            bag.odometry(BEGAN + k * S // 10, Pose(0.2, 0.3, 0.4), child="base")
             for parent, step in (("odom", 0.3), ("map", 0.7)):
                 bag.transform(parent, "base", Pose(2.0 + step * k, 3.0, 0.4), stamp_ns=BEGAN + k * S // 10)
-            bag.scan("/scan", BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
+            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
     for parent, step in (("odom", 0.3), ("map", 0.7)):
         log = open_log(bag.path, odometry_frames=(parent, "base"))
         close(log.ticks[-1].odometry, Pose(2.0 + 2.0 * step, 3.0, 0.4))

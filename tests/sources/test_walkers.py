@@ -13,7 +13,6 @@ from scipy.sparse.csgraph import dijkstra
 from sixthsense.config import ConfigError, preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
-from sixthsense.loop.run import run
 from sixthsense.sources.scene import Scene, SceneError, load_scene
 from sixthsense.sources.walkers import Walkers, walkers_of
 from sixthsense.sources.walking_space import ScriptedWalk, WalkingSpace, check_walks, read_walks
@@ -155,6 +154,8 @@ def test_people_from_room_to_room_have_speeds_and_pauses_of_a_range_and_begin_a_
         places = np.vstack([at(1.0, 1.0).position, people.at])
         apart.append(min(math.dist(a, b) for a, b in itertools.combinations(places, 2)))
         found = tracks(people, 40.0)
+        off_walls = min(point_segment_distance(p + CORNER, DIVIDED).min() for p in found[::100].reshape(-1, 2))
+        assert off_walls > 0.25 - 0.08  # by cells of 0.1 m
         moved = np.linalg.norm(np.diff(found, axis=0), axis=2) / 0.02
         speeds += moved.max(axis=0).tolist()
         pauses += [np.argmax(moved[:, k] > 0.0) * 0.02 for k in range(4)]
@@ -172,18 +173,6 @@ def test_someone_goes_to_another_room_each_time() -> None:
     pauses = [k for k in begins if stands[k + 1 : k + 40].all()]
     rooms = [bool(found[k, 0] > 4.0) for k in pauses]
     assert len(rooms) > 6 and all(a != b for a, b in itertools.pairwise(rooms))
-
-
-def test_people_walk_through_the_door_from_room_to_room_at_their_speed() -> None:
-    people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=2)
-    found = tracks(people, 120.0)
-    sides = found[..., 0] > 4.0
-    assert (sides.any(axis=0) & ~sides.all(axis=0)).all()
-    steps = np.linalg.norm(np.diff(found, axis=0), axis=2) / 0.02
-    assert steps.max() <= 1.5 + 1e-9
-    assert all(0.5 <= steps[:, k].max() <= 1.5 for k in range(2))
-    wall = point_segment_distance
-    assert min(wall(p + CORNER, DIVIDED).min() for p in found[::10].reshape(-1, 2)) > 0.25 - 0.08  # by cells of 0.1 m
 
 
 def test_the_same_seed_gives_the_same_people_and_no_people_draw_nothing() -> None:
@@ -216,13 +205,6 @@ def test_someone_stops_half_a_metre_before_the_robot_and_steps_aside_after_five_
     assert found[:, 0].max() > 6.5 and people.touches == [0, 0]
 
 
-def test_a_blind_walker_touches_a_robot_that_stands_once_by_its_own_fault() -> None:
-    people, robot = walkers(walk((1.0, 2.0), (7.0, 2.0)), walkers_blind=True), at(4.0, 2.0)
-    found = tracks(people, 4.0, robot)
-    assert people.touches == [0, 1]
-    assert np.linalg.norm(found[:, 0] + CORNER - robot.position, axis=1).min() > 0.2 + 0.25 - 0.01
-
-
 def test_a_robot_that_drives_into_someone_who_stands_is_to_blame_and_again_after_a_gap() -> None:
     people = walkers(walk((4.0, 2.0)))
     way = [*np.arange(2.0, 3.7, 0.01), *np.arange(3.7, 3.52, -0.01), *np.arange(3.52, 3.7, 0.01)]
@@ -234,8 +216,8 @@ def test_a_robot_that_drives_into_someone_who_stands_is_to_blame_and_again_after
     assert people.touches == [2, 0]
 
 
-def test_a_walker_who_is_faster_than_the_robot_that_it_meets_is_to_blame() -> None:
-    for walker_mps, robot_mps, touches in ((1.3, 0.4, [0, 1]), (0.4, 1.3, [1, 0])):
+def test_a_blind_walker_who_is_faster_than_the_robot_that_it_meets_is_to_blame() -> None:
+    for walker_mps, robot_mps, touches in ((1.3, 0.4, [0, 1]), (1.3, 0.0, [0, 1]), (0.4, 1.3, [1, 0])):
         people = walkers(walk((1.0, 2.0), (7.0, 2.0), speed=walker_mps), walkers_blind=True)
         step = 0.02 * robot_mps
         for k in range(200):
@@ -243,6 +225,7 @@ def test_a_walker_who_is_faster_than_the_robot_that_it_meets_is_to_blame() -> No
             if any(people.touches):
                 break
         assert people.touches == touches
+        assert math.dist(people.at[0], at(6.0 - (k + 1) * step, 2.0).position) > 0.2 + 0.25 - 0.03
 
 
 def test_one_leg_stands_while_the_other_swings_beside_the_body() -> None:
@@ -290,11 +273,3 @@ def test_people_walk_by_the_time_of_a_control_tick_and_their_touches_are_told() 
     ticks = [source.step(Command()) for _ in range(100)]
     speeds = np.linalg.norm(np.diff([tick.walkers[0, :2] for tick in ticks], axis=0), axis=1) / 0.04
     assert speeds.max() == pytest.approx(1.3) and ticks[-1].touches == (0, 1)
-
-
-def test_a_run_records_the_true_tracks_and_expects_people() -> None:
-    trace = run(preset(scene="apartment", world={"walkers": 2}, max_time=1.0))
-    assert trace.config.people
-    assert len(trace.walkers) == len(trace.stamps_ns) and trace.walkers[0].shape == (2, 3)
-    assert trace.touches == (0, 0)
-    assert not run(preset(scene="apartment", max_time=0.2)).config.people
