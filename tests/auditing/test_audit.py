@@ -1,6 +1,5 @@
 """Errors drawn from a known covariance: the audit finds the covariance that the estimate should have stated."""
 
-import json
 import math
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 import sixthsense as ss
-from sixthsense.auditing import rotations
 
 N = 4000
 STAMPS = 0.1 * np.arange(N)
@@ -59,17 +57,6 @@ def test_the_wrong_frame_is_noticed_since_the_nees_depends_on_the_heading(true, 
     assert "depends on the heading" not in repr(audited(TRUTH + drawn(isotropic), isotropic, frame=read))
 
 
-def test_poses_in_another_frame_are_aligned_by_all_of_them():
-    turn = rotations.exp(np.array([[0.7]]))[0]
-    axes = rotations.axes(turn[None])[0]
-    poses = (TRUTH + drawn(rho=0.9, seed=7)) @ axes.T + [5.0, -2.0, 0.7]
-    cov = axes @ COV @ axes.T
-    found = audited(poses, cov, align="all")
-    assert found.outcome == "consistent" and 0.0 < found.findings.removed < 0.05
-    plain = audited(poses, cov)
-    assert plain.outcome == "no verdict" and "align by all poses" in plain.verdict
-
-
 def of_short_runs(align, count, runs):
     """The audit of many short runs with white errors."""
     estimates = [(STAMPS[:count], TRUTH[:count] + drawn(seed=k, count=count), stated(COV, count)) for k in range(runs)]
@@ -93,21 +80,3 @@ def test_an_alignment_by_the_first_pose_adds_its_covariance_and_it_is_one_sample
     error = drawn(seed=8)
     error[0] = 0.0
     assert audited(TRUTH + error, exact, align="first").outcome == "consistent"
-
-
-def test_an_error_that_lasts_the_whole_run_leaves_no_verdict():
-    found = audited(TRUTH + [0.2, 0.0, 0.0] + 0.1 * drawn())
-    assert found.outcome == "no verdict" and "30 are needed" in found.verdict
-    assert audited(TRUTH[:20] + drawn(count=20)).outcome == "no verdict"
-
-
-def test_the_numbers_are_written_as_json_and_drawn(tmp_path):
-    found = audited(TRUTH[:500] + drawn(count=500))
-    found.save(tmp_path / "audit.json")
-    table = json.loads((tmp_path / "audit.json").read_text())
-    assert table["verdict"] == found.verdict and table["nees"] == found.findings.nees
-    assert table["axes"]["heading"]["interval"] == list(found.findings.axes["heading"].interval)
-    picture = found.plot()
-    assert len(picture.axes) == 5 and picture.get_suptitle() == found.verdict
-    with pytest.raises(ss.InputError, match="cannot be written"):
-        found.save(tmp_path / "no" / "audit.json")
