@@ -10,7 +10,6 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-import gtsam
 import matplotlib
 import numpy as np
 import pytest
@@ -132,17 +131,6 @@ def test_evo_finds_the_same_relative_errors_as_the_metrics(recorded, evo):
 # map_server
 
 
-def test_the_map_read_by_map_servers_rule_is_the_grid(recorded):
-    folder, trace = recorded
-    cells, cell_m, (x, y, yaw) = map_server(folder / "map.yaml")
-    assert (cell_m, yaw) == (CONFIG.grid.cell_m, 0.0)
-    occupancy = trace.grid.occupancy()
-    c0, r0 = (round((a - b) / cell_m) for a, b in zip((x, y), trace.grid.origin, strict=True))
-    assert np.array_equal(cells, occupancy[r0 : r0 + cells.shape[0], c0 : c0 + cells.shape[1]])
-    assert np.count_nonzero(cells >= 0) == np.count_nonzero(occupancy >= 0) > 0
-    assert {-1, 0, 100} == set(np.unique(cells).tolist())
-
-
 def test_the_map_has_a_wall_where_the_robot_saw_one_and_is_free_where_it_drove(recorded):
     """In metres from the file's own origin: no index of ours is used."""
     folder, trace = recorded
@@ -180,33 +168,4 @@ def test_rosbags_opens_the_bag_and_finds_every_message(recorded):
 # GTSAM
 
 
-def test_gtsam_reads_every_factor_and_every_value_of_the_graph(recorded):
-    folder, trace = recorded
-    points = set(trace.final.ids[~trace.final.walls].tolist())
-    observations = sum(i in points for association in trace.associations for i in association.observations)
-    steps = len(trace.key_stamps_ns) - 1
-    factors, values = gtsam.readG2o(str(folder / "graph.g2o"))
-    kinds = Counter(type(factors.at(k)).__name__ for k in range(factors.size()))
-    assert kinds == {"BetweenFactorPose2": steps, "BearingRangeFactor2D": observations}
-    assert steps > 20 and observations > 50
-    np.testing.assert_allclose(gtsam.utilities.extractPose2(values), trace.trajectory, atol=1e-12)
-    assert gtsam.utilities.extractPoint2(values).shape == (len(points), 2)
-
-
 # pandas
-
-
-def test_pandas_reads_metrics_and_landmarks(recorded):
-    pd = pytest.importorskip("pandas")
-    folder, trace = recorded
-    metrics = pd.read_json(folder / "metrics.json", typ="series")
-    assert metrics["outcome"] == trace.outcome and metrics["landmarks"] == len(trace.records)
-    frame = pd.read_csv(folder / "landmarks.csv", index_col="id")
-    assert frame.index.tolist() == trace.final.ids.tolist()
-    is_wall = (frame["kind"] == "wall").to_numpy()
-    assert np.array_equal(is_wall, trace.final.walls) and 0 < is_wall.sum() < len(frame)
-    assert np.array_equal(frame.loc[is_wall, ["alpha", "d"]], trace.final.landmarks[is_wall])
-    assert np.array_equal(frame.loc[~is_wall, ["x", "y"]], trace.final.landmarks[~is_wall])
-    assert frame.loc[is_wall, "x"].isna().all() and frame.loc[~is_wall, "alpha"].isna().all()
-    blocks = frame.loc[~is_wall, ["cov_xx", "cov_xy", "cov_xy", "cov_yy"]].to_numpy().reshape(-1, 2, 2)
-    assert (np.linalg.eigvalsh(blocks) > 0.0).all()

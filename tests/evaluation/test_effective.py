@@ -36,28 +36,6 @@ def test_the_mean_of_autoregressive_errors_has_the_number_that_theory_says(rho):
     assert 0.85 * expected < np.mean(found) <= 1.05 * expected
 
 
-def test_neither_number_depends_on_the_scale_of_the_covariance():
-    one = errors(0.9, 3)
-    large = [3.0 * part for part in one]
-    assert effective_number(squares(large), large) == pytest.approx(effective_number(squares(one), one))
-
-
-def test_independent_runs_add_their_samples():
-    runs = errors(0.9, 1, runs=6)
-    alone = np.mean([effective_samples(squares([one])) for one in runs])
-    assert effective_samples(squares(runs)) == pytest.approx(6.0 * alone, rel=0.25)
-
-
-def test_an_error_that_lasts_the_whole_run_is_seen_in_its_sign_and_between_runs_but_not_in_the_nees_of_one_run():
-    runs = [
-        0.2 * one + offset
-        for one, offset in zip(errors(0.0, 2, runs=6), (1.0, -2.0, 1.5, -0.6, 0.8, -1.8), strict=True)
-    ]
-    assert effective_samples(squares(runs[:1])) > 0.5 * LENGTH
-    assert effective_samples_of_errors(runs[:1])[0] < 3.0
-    assert effective_samples(squares(runs)) < 12.0
-
-
 def test_the_number_lies_between_one_and_all_samples():
     alternating = [np.tile([[1.0], [-1.0]], (50, 1)) * np.linspace(1.0, 2.0, 100)[:, None]]
     assert 1.0 <= effective_number(squares(alternating), alternating) <= 100.0

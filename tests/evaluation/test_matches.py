@@ -11,15 +11,13 @@ import pytest
 
 from sixthsense.config import AssociationConfig, Config, LaserConfig, LaserNoise, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.core.landmarks import Kind, Observation, predict_points
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import InnovationObserver, PriorInnovations, judge_matches, true_pair_nis
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
 from sixthsense.loop.run import run
-from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import make_estimator
 from sixthsense.slam.features import extract
 from sixthsense.testing.sight import predict_points, predict_walls
 
@@ -199,61 +197,6 @@ def test_of_several_landmarks_of_a_wall_the_oldest_is_its_true_pair_and_used_is_
     scans = [Association({4: thin, 9: thin, 6: floor}), Association({9: thin, 6: thin})]
     found = true_pair_nis([none, scan], scans, np.array([BELOW.array()] * 2), SCENE, LASER)
     assert (found.nis.tolist(), found.matched.tolist()) == ([3.2, 8.6], [True, False])
-
-
-CORNERS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
-ROOM_SCENE = true_identities(np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1))
-ROOM_COV = np.diag([0.004**2, 0.01**2])
-POSE = Pose(2.0, 1.5, 0.3)
-
-
-def room(rng, cov=ROOM_COV, scale=1.0):
-    """The four walls seen from POSE with errors drawn from `cov` (2, 2), times `scale`."""
-    found = []
-    for a, b in zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True):
-        places = a + np.linspace(0.1, 0.9, 20)[:, None] * (b - a)
-        along = (b - a) / np.linalg.norm(b - a)
-        normal = np.array([-along[1], along[0]])
-        exact = predict_walls(POSE, np.array([[np.arctan2(normal[1], normal[0]), normal @ a]]))[0][0]
-        z = exact + scale * rng.multivariate_normal(np.zeros(2), cov)
-        z[0] = wrap_angle(z[0])
-        reach = np.sort((places - POSE.position) @ along)
-        bearings = bearings_of(POSE, places)
-        found.append(Observation(Kind.WALL, z, cov, (float(reach[0]), float(reach[-1])), bearings))
-    return found
-
-
-def pairs_of(rooms, config=None):
-    """The true pairs of one associator, and an EKF that stands still, given the observations of each keyframe."""
-    estimator, associator = make_estimator("ekf", POSE, np.zeros((3, 3))), Associator(config or AssociationConfig())
-    observer = InnovationObserver()
-    associator.observer = observer
-    associations = []
-    for observations in rooms:
-        associations.append(associator.associate(observations, estimator))
-        estimator.update(associations[-1].observations)
-    truths = np.tile(POSE.array(), (len(associations), 1))
-    return true_pair_nis(observer.scans, associations, truths, ROOM_SCENE, LASER), associations
-
-
-def test_the_nis_of_true_pairs_is_that_of_two_degrees_of_freedom():
-    rng = np.random.default_rng(1)
-    pairs = [pairs_of([room(rng), room(rng)])[0] for _ in range(100)]
-    nis = np.concatenate([one.nis for one in pairs])
-    assert len(nis) == 400
-    assert nis.mean() == pytest.approx(2.0, abs=4.0 * 2.0 / np.sqrt(400))
-    assert np.concatenate([one.matched for one in pairs]).mean() > 0.98
-
-
-def test_errors_beyond_the_stated_covariance_show_although_the_matches_look_consistent():
-    rng = np.random.default_rng(3)
-    found = [pairs_of([room(rng), room(rng, scale=4.0)]) for _ in range(100)]
-    nis = np.concatenate([pairs.nis for pairs, _ in found])
-    of_matches = [associations[1] for _, associations in found]
-    survivors = sum(a.nis for a in of_matches) / sum(a.dof for a in of_matches)
-    # Innovation (16 + 1) R against 2 R.
-    assert nis.mean() / 2.0 == pytest.approx(8.5, rel=0.25)
-    assert survivors < 0.5 * nis.mean() / 2.0
 
 
 def test_an_observed_run_is_the_same_run_and_its_true_pairs_are_consistent():

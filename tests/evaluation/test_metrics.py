@@ -3,40 +3,20 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.metrics import (
     full_rank_from,
     match_landmarks,
     nees_band,
-    relative_pose_errors,
-    share_in_band,
     true_landmarks,
 )
-
-
-def random_poses(rng: np.random.Generator, count: int, spread: float = 20.0) -> Array:
-    return np.column_stack([rng.normal(0, spread, (count, 2)), rng.uniform(-math.pi, math.pi, count)])
 
 
 def random_covariances(rng: np.random.Generator, count: int) -> Array:
     a = rng.normal(0, 1, (count, 3, 3))
     return a @ a.transpose(0, 2, 1) + 0.05 * np.eye(3)
-
-
-def moved(pose: Pose, poses: Array) -> Array:
-    return np.array([(pose @ Pose.from_array(row)).array() for row in poses])
-
-
-def test_a_relative_pose_error_does_not_depend_on_where_the_frames_lie() -> None:
-    rng = np.random.default_rng(4)
-    truth = np.column_stack([np.cumsum(rng.normal(0.0, 0.1, (300, 2)), axis=0), rng.uniform(-3.0, 3.0, 300)])
-    truth[50:70] = truth[50]  # the robot stands still
-    estimate = truth + rng.normal(0.0, 0.01, (300, 3))
-    expected = relative_pose_errors(estimate, truth, 2.0)
-    found = relative_pose_errors(moved(Pose(3.0, -1.0, 2.0), estimate), moved(Pose(-7.0, 4.0, 1.0), truth), 2.0)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-    assert len(expected[0]) > 250 and not np.any(relative_pose_errors(truth, truth, 2.0)[0] > 1e-12)
 
 
 def test_rank_is_counted_from_the_first_full_covariance() -> None:
@@ -57,11 +37,7 @@ def test_rank_is_counted_from_the_first_full_covariance() -> None:
 @pytest.mark.parametrize(("runs", "band"), [(20, (2.02, 4.16)), (50, (2.36, 3.72)), (100, (2.54, 3.50))])
 def test_the_band_of_the_mean_nees_is_the_chi_square_one(runs: int, band: tuple[float, float]) -> None:
     assert nees_band(runs) == pytest.approx(band, abs=0.006)
-
-
-def test_the_mean_of_chi_square_samples_lies_in_its_band_with_the_stated_probability() -> None:
-    means = np.random.default_rng(8).chisquare(2, (20_000, 10)).mean(axis=1)
-    assert share_in_band(means, nees_band(10, dof=2, confidence=0.8)) == pytest.approx(0.8, abs=0.01)
+    assert nees_band(10, dof=2, confidence=0.8) == pytest.approx(chi2.ppf((0.1, 0.9), 20) / 10)
 
 
 def test_the_one_to_one_matching_of_landmarks_has_the_most_pairs() -> None:
@@ -71,16 +47,6 @@ def test_the_one_to_one_matching_of_landmarks_has_the_most_pairs() -> None:
     rmse, matched = match_landmarks(estimated, truth, 0.7)
     assert matched == 2
     assert rmse == pytest.approx(0.6)
-
-
-def test_matching_finds_the_permutation_of_noisy_landmarks() -> None:
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        truth = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
-        noise = rng.uniform(-0.1, 0.1, truth.shape)
-        rmse, matched = match_landmarks((truth + noise)[rng.permutation(20)], truth, 0.3)
-        assert matched == 20
-        assert rmse == pytest.approx(np.sqrt(np.mean(np.sum(noise**2, axis=1))))
 
 
 def polyline(*points: tuple[float, float]) -> list[list[tuple[float, float]]]:

@@ -6,7 +6,6 @@ from unittest import mock
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
 from scipy.stats import chi2
 
 from sixthsense import figures
@@ -77,15 +76,6 @@ def test_every_figure_is_drawn_on_axes_of_ones_own(explored, what) -> None:
     one.set_title("my own")
     explored.plot(what, ax=one)
     assert one.has_data() and one.get_title() == "my own"
-
-
-def test_a_map_is_written_as_a_png_with_its_folder(trace: Trace, tmp_path: Path) -> None:
-    save_map(trace, tmp_path / "deep" / "figures" / "map.png", "a title")
-    with Image.open(tmp_path / "deep" / "figures" / "map.png") as image:
-        image.load()
-        assert image.format == "PNG"
-        assert image.size[0] > 1000
-        assert len(image.convert("RGB").getcolors(1 << 24) or []) > 20
 
 
 def test_blocks_of_cells_lie_where_the_cells_do_and_keep_every_obstacle(trace: Trace) -> None:

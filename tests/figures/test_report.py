@@ -114,19 +114,6 @@ def test_a_run_without_truth_has_no_figures_that_need_it(finished, tmp_path):
     assert {file.name for file in files} == {"map.png", "nis.png", "stages.png", "exploration.png", PAGE}
 
 
-def test_a_killed_run_is_reported_without_its_end(folder, tmp_path):
-    killed = tmp_path / "two.partial"
-    killed.mkdir()
-    (killed / "config.toml").write_bytes((folder / "config.toml").read_bytes())
-    lines = (folder / "record.jsonl").read_bytes().splitlines(keepends=True)
-    (killed / "record.jsonl").write_bytes(b"".join(lines[:-1]))
-    loaded = load(killed)
-    assert loaded.name == "two"
-    assert loaded.metrics["outcome"] == "interrupted" and "wall_time_s" not in loaded.metrics
-    assert main(["report", str(killed)]) == 0
-    assert (killed / "figures" / "error.png").is_file()
-
-
 def test_the_command_writes_into_the_folder_of_one_run_and_into_another_only_on_request(folder, tmp_path, capsys):
     written = {file.name for file in (folder / "figures").iterdir() if file.suffix != ".svg"}
     assert written == PICTURES - {"rpe.png"} | {PAGE}  # too short a drive for relative errors

@@ -17,7 +17,7 @@ from sixthsense.config import preset
 from sixthsense.figures.plot import save_map
 from sixthsense.figures.run import load
 from sixthsense.loop.run import replay, run
-from sixthsense.record import bag, ending, folder
+from sixthsense.record import bag, ending
 from sixthsense.sources.logs.runfolder import read_run
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -110,36 +110,6 @@ def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path
     assert "the recording is incomplete" in err and err.count("\n") == 1
     save_map(load(partial), tmp_path / "map.png", "a killed run")
     assert (tmp_path / "map.png").is_file()
-
-
-def test_a_replay_never_costs_the_log_itself(kills, complaint):
-    partial = kills[0].partial
-    before = (partial / "bag" / "bag_0.mcap").read_bytes()
-    for log in (partial, partial / "bag" / "bag_0.mcap"):
-        said = complaint("replay", log, "--out", partial.with_name("run"), "--overwrite")
-        assert "whose .partial is the log itself, allowed: another folder" in said
-    assert (partial / "bag" / "bag_0.mcap").read_bytes() == before
-
-
-@pytest.mark.parametrize("share", (0.0, 0.05, 0.4, 0.99))
-def test_a_bag_cut_anywhere_is_read_up_to_its_last_whole_chunk_or_named(share, tmp_path, monkeypatch):
-    monkeypatch.setattr(bag, "_CHUNK_BYTES", 20_000)
-    config = preset(task="tour", scene="rectangle", max_time=4.0)
-    whole_folder = folder.RunFolder(tmp_path / "run", config)
-    with bag.BagWriter(whole_folder.partial) as writer:
-        whole = run(config, writer)
-    file = whole_folder.partial / "bag" / "bag_0.mcap"
-    content = file.read_bytes()
-    file.write_bytes(content[: int(share * len(content))])
-    (file.parent / "metadata.yaml").unlink()
-    if share == 0.0:
-        with pytest.raises(ValueError, match=r"bag_0.mcap: is not an MCAP file"):
-            read_run(whole_folder.partial, config.laser)
-        return
-    trace = replay(read_run(whole_folder.partial, config.laser), config)
-    count = len(trace.estimates)
-    assert 1 <= count <= len(whole.estimates)
-    assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")

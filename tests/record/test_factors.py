@@ -28,13 +28,6 @@ def graph(trace: Trace) -> FactorGraph:
     return factor_graph(trace)
 
 
-def test_every_kept_observation_and_every_step_is_in_it(trace: Trace, graph: FactorGraph) -> None:
-    kept = set(trace.final.ids.tolist())
-    observations = sum(i in kept for a in trace.associations for i in a.observations)
-    assert len(graph.observations) == observations > 100
-    assert len(graph.motions) == len(graph.poses) - 1 == len(trace.key_stamps_ns) - 1
-
-
 def test_our_own_reader_replays_the_graph_that_a_run_has_left(graph: FactorGraph, tmp_path: Path) -> None:
     write_graph(tmp_path, graph)
     log = open_log(tmp_path / "graph.g2o", LaserConfig())

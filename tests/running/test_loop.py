@@ -117,12 +117,3 @@ def test_at_standstill_nothing_moves_and_no_keyframe_is_taken() -> None:
 )
 def test_a_keyframe_comes_after_enough_way_or_turn_since_the_last(motion: Pose, expected: bool) -> None:
     assert due(motion) is expected
-
-
-def test_a_scan_between_keyframes_is_placed_by_its_last_keyframe_and_the_odometry_since() -> None:
-    trace = run(SHORT)
-    poses = trace.scan_poses()
-    assert len(poses) == len(trace.stamps_ns)
-    assert np.abs(poses[:, :2] - np.array(trace.estimates)[:, :2]).max() < 1e-9  # a filter smooths nothing
-    keys = [trace.stamps_ns.index(stamp) for stamp in trace.key_stamps_ns]
-    assert np.array_equal(poses[keys], trace.trajectory)

@@ -1,4 +1,3 @@
-import itertools
 import math
 
 import numpy as np
@@ -7,7 +6,7 @@ from scanned import box
 from scipy import stats
 
 from sixthsense.config import merge, preset
-from sixthsense.core.geometry import Array, Pose, point_segment_distance, wrap_angle
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
 from sixthsense.sources.world import World
 
@@ -209,27 +208,6 @@ def test_the_seed_determines_the_world():
 
     assert np.array_equal(truth(1), truth(1))
     assert not np.array_equal(truth(1), truth(2))
-
-
-@pytest.mark.parametrize("v, w", [(0.4, 0.0), (0.0, 0.8), (0.3, 0.6)])
-def test_the_motion_noise_of_the_world_is_that_of_the_motion_model(v, w):
-    """The spread of the truth about the odometry is the covariance that the increments fold to."""
-    from sixthsense.core.motion import STANDSTILL, odometry
-
-    config = preset()
-    errors, cov = [], None
-    for seed in range(600):
-        ticks, folded = driven(world(config, seed=seed), (v, w), ticks=50), STANDSTILL
-        if cov is None:
-            for before, tick in itertools.pairwise(ticks):
-                folded = folded.then(odometry(before.odometry, tick.odometry, config.assumed))
-            turn = Pose(theta=START.theta).adjoint()
-            cov = turn @ folded.cov @ turn.T
-        errors.append(ticks[-1].truth.array() - ticks[-1].odometry.array())
-    errors = np.array(errors)
-    errors[:, 2] = wrap_angle(errors[:, 2])
-    nees = np.einsum("ij,jk,ik->i", errors, np.linalg.inv(cov), errors)
-    assert 3 - 0.45 < nees.mean() < 3 + 0.45  # 600 runs: sigma of the mean is 0.1
 
 
 def test_glass_stops_the_robot_and_returns_nothing():
