@@ -227,6 +227,12 @@ REFUSED = [
     (changed(), {"frame": "robot"}, "frame: found 'robot'"),
     (([arrays(GOOD)[0], arrays(SPACE)[0]], [arrays(GOOD)[1], arrays(SPACE)[1]]), {}, "allowed: all in one of them"),
     (([arrays(GOOD)[0]] * 3, [arrays(GOOD)[1]] * 2), {}, "truth: found 2 for 3 estimates"),
+    (("no.tum", arrays(GOOD)[1]), {}, "no.tum: no such file"),
+    ((".", arrays(GOOD)[1]), {}, "found a folder, allowed: a ROS bag"),
+    ((3, arrays(GOOD)[1]), {}, "allowed: a file, a run, or arrays"),
+    (changed(estimate=np.ones((7, 5))), {}, "estimate poses: expected"),
+    (changed(), {"covariance": ["a", "b"]}, "covariance: found 2 for 1 estimates"),
+    (changed(), {"truth_frames": ("map",)}, "truth frames: found"),
     (([], []), {}, "estimate: found none"),
     ((arrays(GOOD)[0], None), {}, "truth: found nothing"),
 ]

@@ -173,6 +173,18 @@ def test_a_row_of_a_run_with_another_configuration_is_refused(done: CampaignPlan
         call()
 
 
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("[axes]", "[axes", "is not TOML"), ("[fields", "[other", "fields: found no such table"),
+    ('"worn"', "3", r"axes.preset: found \[3\], allowed: a list of texts"), ("0:3", "0:x", "axes.seeds: found"),
+])  # fmt: skip
+def test_a_damaged_table_of_a_campaign_is_named(done: CampaignPlan, old: str, new: str, said: str) -> None:
+    text = Path("mc/campaign.toml").read_text()
+    assert old in text
+    Path("mc/campaign.toml").write_text(text.replace(old, new))
+    with pytest.raises(CampaignError, match=said):
+        ss.load_campaign("mc")
+
+
 def test_rows_come_back_with_their_numbers_and_texts_and_a_second_one_replaces_the_first() -> None:
     rows = Rows(Path("c"))
     fixed = {"scene": "a", "preset": "p", "planner": "q", "outcome": "explored", "version": "1"}

@@ -102,6 +102,17 @@ def test_a_line_that_says_nothing_is_named(folder, tmp_path, line):
     assert "\n" not in str(told.value) and len(str(told.value)) < 600
 
 
+@pytest.mark.parametrize(("text", "said"), [
+    ("[1", "found no JSON"), ("[1]", "found no table"), ('{"outcome": 3}', "outcome: found 3, allowed: text"),
+    ('{"plans": "x"}', "plans: found 'x', allowed: a number"), (f'{{"plans": {"9" * 999}}}', "allowed: a number"),
+])  # fmt: skip
+def test_damaged_metrics_are_named(folder, tmp_path, text, said):
+    damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
+    (damaged / "metrics.json").write_text(text)
+    with pytest.raises(ss.InputError, match=said):
+        ss.load(damaged)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", [FILE, *ARRAYS])
 def test_files_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):

@@ -1,6 +1,7 @@
 """Two runs in one building, mapped together."""
 
 import dataclasses
+import signal
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ import pytest
 import sixthsense as ss
 from sixthsense import cli
 from sixthsense.config import merge
+from sixthsense.core import interrupt
+from sixthsense.core.geometry import Pose
+from sixthsense.core.source import Tick
 from sixthsense.record.folder import RunFolder
-from sixthsense.running.merging import Merged, MergeError, merged_log, replay_merged
+from sixthsense.running.merging import Merged, MergeError, _going_on, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.replay_input import Recorded, open_recorded
@@ -111,12 +115,25 @@ def joined(one: Recorded, other: Recorded) -> Merged:
     return Merged("both", log, one.config, None, one.files, (), moved[0].stamp_ns)
 
 
-def test_a_second_run_that_no_link_joins_to_the_first_is_refused_even_if_the_first_was_carried_itself(runs, here):
+def test_a_second_run_that_no_link_joins_to_the_first_is_refused_even_if_the_first_was_carried_itself(
+    runs, here, monkeypatch
+):
     monday = recorded(runs / "monday")
     assert replay_merged(joined(monday, monday), None, QUIET).outcome == "log ended"
     with RunFolder(here / "both", monday.config) as folder, pytest.raises(MergeError, match="could be linked"):
         replay_merged(joined(monday, recorded(runs / "other")), folder, QUIET)
     assert list(here.iterdir()) == []
+    monkeypatch.setattr(interrupt, "_last_s", -np.inf)
+    press = dataclasses.replace(QUIET, hooks=[lambda tick, trace: len(trace.stamps_ns) == 5 and signal.raise_signal(2)])
+    assert replay_merged(joined(monday, recorded(runs / "other")), None, press).outcome == "interrupted"
+
+
+def test_a_second_run_that_was_recorded_later_keeps_its_stamps_and_what_it_knows_of_its_steps():
+    cov = np.diag([0.3, 0.2, 0.1])
+    ticks = [Tick(ns, Pose(1e-9 * ns, 0.2, 0.1), increment_cov=cov) for ns in (7, 5_000_000_000, 6_000_000_000)]
+    found = list(_going_on(ticks[0], ticks[1:], Pose(0.4, 0.3, 0.5), np.array([0.4, 0.5, 0.6])))
+    assert [tick.stamp_ns for tick in found] == [5_000_000_000, 6_000_000_000]
+    assert np.allclose([tick.increment_cov for tick in found], [np.diag([0.16, 0.25, 0.36]), cov])
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.config import preset
+from sixthsense.config import AssumedConfig, merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.loop.run import replay
 from sixthsense.sources.logs import open_log
@@ -145,6 +145,31 @@ def test_the_command_replays_a_log_and_then_its_own_record_to_the_same_estimates
         assert {int(row["id"]) for row in csv.DictReader(rows)} == set(CIRCLED if kind == "victoria" else PLACES)
     for name in ("estimate.tum", "smoothed.tum", "landmarks.csv"):
         assert (tmp_path / "two" / name).read_text() == (tmp_path / "one" / name).read_text()
+
+
+@pytest.mark.parametrize(("name", "text", "said"), [
+    ("a.g2o", "VERTEX_XY 3 0.5 0.6\n", "found no edge between poses"),
+    ("a.log", "FLASER 2 inf inf 0.1 0.2 0.3 0.1 0.2 0.3 7.5 h 7.5\n", "found no return in 1 scans"),
+    ("a.xyz", "1 2 3\n", "found no known kind of log"),
+])  # fmt: skip
+def test_a_log_with_nothing_to_read_is_refused(name, text, said, tmp_path):
+    with pytest.raises(LogError, match=said):
+        open_log(graph(text, tmp_path, name))
+
+
+def test_a_mrclam_folder_is_refused_without_the_robot_that_is_wanted_one_of_several_named_or_noise(tmp_path):
+    assumed = merge(AssumedConfig(), {"laser": {"range_m": 0.0}})
+    for given, said in (
+        ({"robot": 7}, "no odometry of robot 7, allowed: 3"),
+        ({"assumed": assumed}, "range_m 0, allo"),
+    ):
+        with pytest.raises(LogError, match=said):
+            open_log(folder(tmp_path / "a"), **given)
+    with pytest.raises(LogError, match="found robots 3, 4, allowed: one, by --robot N"):
+        open_log(folder(tmp_path / "a", robot=4))
+    (tmp_path / "b").mkdir()
+    with pytest.raises(LogError, match="found no RobotN_Odometry"):
+        open_log(graph("3 13\n", tmp_path / "b", "Barcodes.dat").parent)
 
 
 def victoria_park() -> Log:

@@ -117,6 +117,8 @@ REFUSED = {
     "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or --units odometry=mm"),
     "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by --topic /rear or /scan"),
     "two lasers": ({"scan": at(every, "ranges", in_turn)}, "found scans of two lasers in turn, all of frame laser"),
+    "no scans": ({"scan": lambda n, says: None}, "found no topic of type LaserScan, but /odom (Odometry)"),
+    "no return": ({"scan": at(every, "ranges", NAN)}, "found no return in 60 scans, allowed: ranges from range_min to"),
     "no scan of any use": ({"scan": at(every, "count", 1)}, "found a scan of 1 ranges, allowed: 2 to"),
 }  # fmt: skip
 
