@@ -167,16 +167,11 @@ def test_a_drive_needs_the_places_of_its_task(task, name):
     check_drive(preset(task=task, **{name: places[name]}))
 
 
-@pytest.mark.parametrize(
-    ("network", "multicast", "peers"),
-    [
-        (Network(), False, ["127.0.0.1"]),
-        (Network(7, ("127.0.0.2",), ("127.0.0.3",)), False, ["127.0.0.3"]),
-        (Network(7, ("192.168.1.7",)), True, []),
-        (Network(7, ("eth0", "192.168.1.7")), True, []),
-        (Network(7, ("eth0",), ("10.0.0.2", "10.0.0.3")), True, ["10.0.0.2", "10.0.0.3"]),
-    ],
-)
+@pytest.mark.parametrize(("network", "multicast", "peers"), [
+    (Network(), False, ["127.0.0.1"]), (Network(7, ("127.0.0.2",), ("127.0.0.3",)), False, ["127.0.0.3"]),
+    (Network(7, ("192.168.1.7",)), True, []), (Network(7, ("eth0", "192.168.1.7")), True, []),
+    (Network(7, ("eth0",), ("10.0.0.2", "10.0.0.3")), True, ["10.0.0.2", "10.0.0.3"]),
+])  # fmt: skip
 def test_a_network_is_found_by_multicast_beside_its_peers_unless_it_is_this_machine(network, multicast, peers):
     root = ElementTree.fromstring(network.xml())
     general, discovery = root.find("Domain/General"), root.find("Domain/Discovery")
@@ -186,15 +181,12 @@ def test_a_network_is_found_by_multicast_beside_its_peers_unless_it_is_this_mach
     assert found == [{"name" if one == "eth0" else "address": one} for one in network.interfaces]
 
 
-@pytest.mark.parametrize(
-    ("of", "said"),
-    [
-        ((233,), "--domain: found 233, allowed: 0 to 232"), ((-1,), "--domain: found -1"),
-        ((7, ("eth0", "a b")), "--interface: found 'a b'"), ((7, ("eth0",), ("host",)), "--peers: found 'host'"),
-        ((7, ("eth0", "127.0.0.1")), "--interface: found eth0,127.0.0.1, allowed: others without the loopback"),
-        ((7, ("lo",), ("10.0.0.2",)), "--peers: found 10.0.0.2 with --interface lo"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("of", "said"), [
+    ((233,), "--domain: found 233, allowed: 0 to 232"), ((-1,), "--domain: found -1"),
+    ((7, ("eth0", "a b")), "--interface: found 'a b'"), ((7, ("eth0",), ("host",)), "--peers: found 'host'"),
+    ((7, ("eth0", "127.0.0.1")), "--interface: found eth0,127.0.0.1, allowed: others without the loopback"),
+    ((7, ("lo",), ("10.0.0.2",)), "--peers: found 10.0.0.2 with --interface lo"),
+])  # fmt: skip
 def test_a_network_that_cannot_be_is_refused(of, said):
     with pytest.raises(NetworkError, match=said):
         Network(*of)

@@ -206,15 +206,10 @@ def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
     assert len(load_scene(write_map(tmp_path, pixels), "free").walls) == 4
 
 
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        ({"free_thresh": "1.7"}, "free_thresh: found 1.7"),
-        ({"mode": "grey"}, "mode: found 'grey'"),
-        ({"origin": "[0.3, 0.4]"}, "origin: "),
-        ({"resolution": "0"}, "resolution: "),
-    ],
-)
+@pytest.mark.parametrize(("fields", "said"), [
+    ({"free_thresh": "1.7"}, "free_thresh: found 1.7"), ({"mode": "grey"}, "mode: found 'grey'"),
+    ({"origin": "[0.3, 0.4]"}, "origin: "), ({"resolution": "0"}, "resolution: "),
+])  # fmt: skip
 def test_a_map_with_a_field_that_is_not_allowed_is_refused(tmp_path: Path, fields: dict, said: str) -> None:
     with pytest.raises(SceneError, match=said):
         load_scene(write_map(tmp_path, np.full((4, 6), 254), **fields))

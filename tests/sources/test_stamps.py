@@ -24,16 +24,10 @@ def test_a_stamp_matches_the_nearest_one_within_half_a_period():
     assert matched([5.0], [5.0, 5.1]).tolist() == [0, -1] and matched([], [1.0]).tolist() == [-1]
 
 
-@pytest.mark.parametrize(
-    ("stamps_s", "expected"),
-    [
-        ([1.0, 1.3, 1.7], [0.3, 0.4]),
-        ([1.0, 1.0, 1.6, 2.0], [0.3, 0.3, 0.4]),
-        ([1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 1.0]),
-        ([5.0, 5.2, 1.0, 1.4], [0.2, 0.3, 0.4]),
-        ([7.0, 7.0, 7.0], [np.inf, np.inf]),
-    ],
-)
+@pytest.mark.parametrize(("stamps_s", "expected"), [
+    ([1.0, 1.3, 1.7], [0.3, 0.4]), ([1.0, 1.0, 1.6, 2.0], [0.3, 0.3, 0.4]), ([1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 1.0]),
+    ([5.0, 5.2, 1.0, 1.4], [0.2, 0.3, 0.4]), ([7.0, 7.0, 7.0], [np.inf, np.inf]),
+])  # fmt: skip
 def test_records_that_share_a_stamp_are_spread_up_to_the_next_one(stamps_s, expected):
     assert passed_s(np.round(1e9 * np.array(stamps_s)).astype(np.int64)) == pytest.approx(expected)
 
