@@ -1,4 +1,4 @@
-"""What a live run tells the network: pose, frame of odometry and map at every scan, and commands to the robot.
+"""What a live run tells the network: pose and frame of odometry at every scan, and commands to the robot.
 
 Commands have a dead man's switch: without a new one in time the robot is told to stop.
 """
@@ -16,10 +16,10 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import compose_jacobians
 from sixthsense.core.se2 import turned_covariance
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Node
+from sixthsense.live.network import Node
 from sixthsense.live.reading import TWIST, TWIST_STAMPED
 from sixthsense.live.robot import LiveRobot
-from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.live.topics import RELIABLE, Topic
 from sixthsense.record.messages import WORLD, Messages
 from sixthsense.record.trace import Trace
 
@@ -31,19 +31,15 @@ _FAREWELLS, _BETWEEN_S = 3, 0.02
 
 POSE = Topic("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", RELIABLE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE._replace(depth=100))
-MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
-
-_MAP_PERIOD_S = 2.0
-_HEADER_BYTES = 1024  # of a map, at most
 
 
 class Publisher:
-    """A hook of the loop. The map is sent when it has changed, at most every two seconds."""
+    """A hook of the loop."""
 
-    def __init__(self, node: Node, robot: LiveRobot) -> None:
-        self._robot, self._messages = robot, Messages()
-        self._pose, self._tf, self._map = node.writer(POSE), node.writer(TF), node.writer(MAP)
-        self._sent_s, self._drawn = -_MAP_PERIOD_S, 0
+    def __init__(self, node: Node, robot: LiveRobot, offer_map: Callable[[int, Trace], object]) -> None:
+        """`offer_map` takes the stamp of each scan, after which the map may have changed, and the trace."""
+        self._robot, self._messages, self._offer_map = robot, Messages(), offer_map
+        self._pose, self._tf = node.writer(POSE), node.writer(TF)
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Send what a scan has changed, with its stamp."""
@@ -55,19 +51,7 @@ class Publisher:
         T_map_odom = self._robot.odom_in_map(tick, pose)
         transform = self._messages.transform(stamp_ns, WORLD, self._robot.odom_frame, T_map_odom)
         self._tf.send(self._messages.serialized(transform, TF.type))
-        if time.monotonic() - self._sent_s >= _MAP_PERIOD_S:
-            self.send_map(stamp_ns, trace)
-
-    def send_map(self, stamp_ns: int, trace: Trace) -> None:
-        """Send the map, if there have been keyframes since the last time; one that is too large is not sent."""
-        if len(trace.key_stamps_ns) == self._drawn or (grid := trace.draw_map()) is None:
-            return
-        self._sent_s, self._drawn = time.monotonic(), len(trace.key_stamps_ns)
-        cells = grid.occupancy()
-        if cells.size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES:
-            return
-        message = self._messages.occupancy(stamp_ns, cells, grid.origin, trace.config.grid.cell_m)
-        self._map.send(self._messages.serialized(message, MAP.type))
+        self._offer_map(stamp_ns, trace)
 
     def _estimate(self, stamp_ns: int, pose: Pose, trace: Trace) -> bytes:
         message = self._messages.estimate(stamp_ns, pose, pose_covariance(trace))

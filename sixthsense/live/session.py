@@ -20,6 +20,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
 from sixthsense.live.ahead_pilot import AheadPilot
+from sixthsense.live.maps import MapSender
 from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Publisher, Stamped
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
@@ -44,7 +45,8 @@ _TF = "/tf"
 _SHOWN = 12  # frames in a message
 _WAIT_S = 0.05
 _HINT_S = 10.0  # without a message, until the user is told where else to look
-_FRAMES_S = 1.0  # static transforms have come by then, or there are none
+_FRAMES_S = 1.0  # who sends static transforms is known by then, or there is nobody
+_SENT_S = 5.0  # static transforms have come by then: Fast DDS offers what it has sent before every 3 s
 _PERIODS = 5  # between scans, that the laser's rate is measured by
 _RESPONSE_S = 0.1  # within which a robot follows a command: the time between two control ticks of a real one
 
@@ -76,7 +78,7 @@ class Session:
 
     def __init__(self, network: Network, topics: Topics, config: Config, say: Callable[[str], object]) -> None:
         """Join the network and subscribe; `say` prints a line. `configure` and `run` follow."""
-        self._node = Node(network)
+        self._network, self._node = network, Node(network)
         self._topics, self._say = topics, say
         self.config = config
         """after `configure` with the robot's laser"""
@@ -88,12 +90,14 @@ class Session:
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
         self._wait: Callable[[float], object] = self._node.wait
         self._commands: str | None = None  # their type
+        self._open = contextlib.ExitStack()
+        self._open.callback(self._node.close)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._node.close()
+        self._open.close()
 
     def configure(self, stated: tuple[str, ...], drive: bool, stamped: bool = False) -> None:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
@@ -102,6 +106,7 @@ class Session:
         be driven must subscribe to its commands, with `stamped` to TwistStamped. NetworkError if another robot sends on
         these topics, or takes the commands.
         """
+        self._maps = self._open.enter_context(MapSender(self._network, self._say))  # some seconds before it is needed
         laser = self.config.laser
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
@@ -146,7 +151,7 @@ class Session:
             robot = LiveRobot(self._received, self._reader, self._laser, self.notices, trace, steering)
             if config.no_odometry:
                 robot.odom_frame = self._frames.root(self._laser.frame)
-            publisher = Publisher(self._node, robot)
+            publisher = Publisher(self._node, robot, self._maps.offer)
 
             def on_tick(tick: Tick, trace: Trace) -> None:
                 publisher(tick, trace)
@@ -225,25 +230,27 @@ class Session:
 
         It is that of static transforms, or after some time of those of /tf that have not moved meanwhile.
         """
-        until_s, moving, is_all = time.monotonic() + _FRAMES_S, TransformTree(), False
+        began_s, moving, is_all = time.monotonic(), TransformTree(), False
         reader = self._node.reader(Topic(_TF, TRANSFORMS, FAST_SENSOR))
         while True:
+            waited_s = time.monotonic() - began_s
+            is_late = waited_s > (_SENT_S if self._transforms.publishers else _FRAMES_S)
             try:
                 robot = self._robot.robot or self._frames.root(self._laser.frame)
                 found = self._frames.mount(robot, self._laser.frame)
-                if not self._robot.robot and robot == self._laser.frame and time.monotonic() <= until_s:
+                if not self._robot.robot and robot == self._laser.frame and not is_late:
                     found = None  # there may be transforms yet
             except ValueError as error:
                 raise ConfigError(f"/tf_static: {error}, or --laser.mount X Y THETA") from None
             if found is not None:
                 return found
-            if time.monotonic() > until_s and is_all:
+            if is_late and is_all:
                 frames = f"{shown_name(robot)} to {shown_name(self._laser.frame)}"
                 there = ", ".join(map(shown_name, self._frames.frames()[:_SHOWN])) or "none"
                 missing = f"no constant transforms lead from {frames} (frames: {there})"
                 self._say(f"assumed: the laser at the robot's centre, since {missing}")
                 return Pose(), False
-            if time.monotonic() > until_s:
+            if is_late:
                 self._frames.add_still(moving, self._robot.frame)
                 is_all = True
                 continue

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from sixthsense.config.errors import ExtraError, InputError
 from sixthsense.config.section import shown
+from sixthsense.record.messages import Messages
 
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _BLOCKED_MS = 20  # a writer waits at most this long for a reader that lags behind
@@ -60,9 +61,7 @@ def checked_topic(option: str, name: str) -> str:
 @cache
 def dds_type(name: str) -> Any:
     """The structure of a message as Cyclone DDS needs it, whose samples hold their serialized form as `data`."""
-    from rosbags.typesys import Stores, get_typestore
-
-    struct = _structure(get_typestore(Stores.ROS2_HUMBLE).fielddefs, name)
+    struct = _structure(Messages().store.fielddefs, name)
 
     def holding(data: bytes) -> Any:
         sample = struct.__new__(struct)

@@ -56,8 +56,9 @@ def truth_of(file: Path) -> np.ndarray:
 
 def heard(live: subprocess.Popen[str]) -> dict[str, list[Any]]:
     """What a live run publishes until it ends, by topic."""
+    from sixthsense.live.maps import MAP
     from sixthsense.live.network import Network, Node
-    from sixthsense.live.publishing import MAP, POSE, TF
+    from sixthsense.live.publishing import POSE, TF
     from sixthsense.record.messages import Messages
 
     store, found = Messages().store, {topic.name: [] for topic in (MAP, POSE, TF)}

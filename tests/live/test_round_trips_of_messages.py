@@ -16,7 +16,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.live.joining import ScanJoiner
-from sixthsense.live.publishing import MAP, POSE, TF, Publisher
+from sixthsense.live.publishing import POSE, TF, Publisher
 from sixthsense.live.reading import TRANSFORMS, LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot
 from sixthsense.record.messages import Messages
@@ -92,7 +92,7 @@ class Sink:
     """A node that keeps what is sent."""
 
     def __init__(self) -> None:
-        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF, MAP)}
+        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF)}
 
     def writer(self, topic: Any) -> Any:
         keep = self.sent[topic.name].append
@@ -111,32 +111,28 @@ def robot_whose_clock_was_set_back_an_hour(T_old_odom: Pose) -> LiveRobot:
 
 
 def a_trace(estimate: Pose, key: Pose, key_cov: np.ndarray, since: Pose, since_cov: np.ndarray) -> Any:
-    cells = np.random.default_rng(4).choice(np.array([-1, 0, 100], np.int8), (3, 5))
     return SimpleNamespace(
         estimates=[(7.0, 8.0, 2.0), estimate.array()],
         key_estimates=[None, SimpleNamespace(pose=key, pose_cov=key_cov)],
         since_key=[(7.0, 8.0, 2.0), since.array()],
         live=SimpleNamespace(since_cov=since_cov),
-        grid=SimpleNamespace(occupancy=lambda: cells, origin=(-2.5, 4.5)),
-        key_stamps_ns=[3, 4],
-        config=SimpleNamespace(grid=SimpleNamespace(cell_m=0.15)),
     )
 
 
 @some
 @given(poses, poses, covariances, poses, covariances, poses)
-def test_what_is_published_is_the_pose_its_covariance_the_frame_of_odometry_and_the_map(
+def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     T_old_odom, key, key_cov, since, since_cov, odometry
 ):
     robot, sink, estimate = robot_whose_clock_was_set_back_an_hour(T_old_odom), Sink(), key @ since
     trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
-    publish = Publisher(sink, robot)
+    offered: list[Any] = []
+    publish = Publisher(sink, robot, lambda *of: offered.append(of))
     publish(Tick(time_ns, odometry), trace)
     assert not any(sink.sent.values())
     publish(Tick(time_ns, odometry, a_scan()), trace)
     (pose,), ((link,),) = sink.sent["/pose"], (message.transforms for message in sink.sent["/tf"])
-    (world,) = sink.sent["/map"]
-    assert {stamp_ns(message) for message in (pose, link, world)} == {time_ns - HOUR}
+    assert {stamp_ns(message) for message in (pose, link)} == {time_ns - HOUR} and offered == [(time_ns - HOUR, trace)]
     assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (estimate.x, estimate.y)
     assert 2.0 * math.atan2(pose.pose.pose.orientation.z, pose.pose.pose.orientation.w) == estimate.theta
     # Against adjoints: the error in the axes of the keyframe, brought to those of the robot and of the world.
@@ -155,27 +151,6 @@ def test_what_is_published_is_the_pose_its_covariance_the_frame_of_odometry_and_
     at = T_map_odom @ (T_old_odom.inverse() @ odometry)
     assert at.position == pytest.approx(estimate.position, abs=1e-9)
     assert wrap_angle(at.theta - estimate.theta) == pytest.approx(0.0, abs=1e-9)
-    info, cells = world.info, trace.grid.occupancy()
-    assert (info.width, info.height, round(info.resolution, 6)) == (5, 3, 0.15)
-    assert (info.origin.position.x, info.origin.position.y, info.origin.orientation.w) == (-2.5, 4.5, 1.0)
-    assert [world.data[row * info.width + col] for row in range(3) for col in range(5)] == cells.ravel().tolist()
-
-
-def test_a_map_is_sent_again_with_a_new_keyframe_after_two_seconds_unless_it_is_too_large(monkeypatch):
-    clock = SimpleNamespace(monotonic=lambda: clock.now, now=50.0)
-    monkeypatch.setattr("sixthsense.live.publishing.time", clock)
-    robot, sink = robot_whose_clock_was_set_back_an_hour(Pose(0.3, 0.4, 0.5)), Sink()
-    trace = a_trace(Pose(2, 3, 0.4), Pose(2, 3, 0.4), np.eye(3), Pose(0.1, 0.2, 0.3), np.eye(3))
-    publish, count = Publisher(sink, robot), []
-    for now_s, keyframes in ((50.0, 2), (53.0, 2), (53.1, 3), (54.9, 4), (55.2, 4)):
-        clock.now, trace.key_stamps_ns = now_s, [0] * keyframes
-        publish(Tick(2 * HOUR, Pose(), a_scan()), trace)
-        count.append(len(sink.sent["/map"]))
-    assert count == [1, 1, 2, 2, 3]
-    clock.now, trace.key_stamps_ns = 70.0, [0] * 9
-    trace.grid.occupancy = lambda: np.broadcast_to(np.int8(0), (1 << 13, 1 << 13))
-    publish(Tick(2 * HOUR, Pose(), a_scan()), trace)
-    assert len(sink.sent["/map"]) == 3 and len(sink.sent["/pose"]) == 6
 
 
 @some

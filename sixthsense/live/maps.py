@@ -1,0 +1,207 @@
+"""The map on the network, composed and sent by a process of its own: a large one takes longer than a scan may wait.
+
+Who subscribes to /map and /map_updates gets the whole map once, and then what changes; who takes /map alone gets it
+whole each time. The whole map goes out also when its size changes, and when a subscriber comes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterator
+from multiprocessing.queues import Queue
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Network, Node
+from sixthsense.live.topics import LATCHED, RELIABLE, NetworkError, Topic
+from sixthsense.record.messages import MAP_UPDATE, Messages
+from sixthsense.record.trace import Trace
+from sixthsense.slam.mapping.changes import Box, Revision, box_of
+from sixthsense.slam.mapping.grid import Grid
+
+MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
+UPDATES = Topic("/map_updates", MAP_UPDATE, RELIABLE)
+
+_PERIOD_S = 2.0
+_POLL_S = 0.2  # from one look for new subscribers to the next
+_LEAVE_S = 3.0  # that the process may take to end
+_HEADER_BYTES = 1024  # of a map, at most
+
+
+class Part(NamedTuple):
+    """What has changed of a map."""
+
+    stamp_ns: int
+    whole: Box
+    """all of the map"""
+    changed: Box
+    seen: bytes
+    """a bit for each cell of that box, in rows"""
+    obstacles: bytes
+    cell_m: float
+
+    def occupancy(self) -> NDArray[np.int8]:
+        """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
+        shape = (self.changed.bottom - self.changed.top, self.changed.right - self.changed.left)
+        seen, obstacles = (
+            np.unpackbits(np.frombuffer(bits, np.uint8), count=shape[0] * shape[1]).reshape(shape).view(np.int8)
+            for bits in (self.seen, self.obstacles)
+        )
+        return np.where(obstacles, np.int8(100), seen - np.int8(1))
+
+
+class Parts:
+    """Takes from a grid what has changed since the last time."""
+
+    def __init__(self) -> None:
+        self._revision: Revision | None = None
+
+    def take(self, stamp_ns: int, grid: Grid, cell_m: float) -> Part | None:
+        """What has changed; None if nothing has, and for a map that is too large for a message."""
+        changes = grid.changes
+        whole, changed = grid.box, changes.since(self._revision)
+        size = (whole.bottom - whole.top) * (whole.right - whole.left)
+        if size == 0 or size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES or changed == Box(0, 0, 0, 0):
+            return None
+        self._revision = changes.revision
+        changed = changed or whole
+        seen, obstacles = (np.packbits(grid.part(name, changed)).tobytes() for name in ("seen", "obstacles"))
+        return Part(stamp_ns, whole, changed, seen, obstacles, cell_m)
+
+
+class MapWriter:
+    """Composes the map of its parts, and writes it."""
+
+    def __init__(self, node: Node) -> None:
+        self._messages = Messages()
+        self._map, self._updates = node.writer(MAP), node.writer(UPDATES)
+        self._whole, self._cells = Box(0, 0, 0, 0), np.zeros((0, 0), np.int8)
+        self._last: Part | None = None
+        self._served = 0  # subscribers that have the map as it is
+
+    def take(self, part: Part) -> None:
+        """Take in what has changed, and tell it."""
+        is_resized = part.whole != self._whole
+        if is_resized:
+            self._resize(part.whole)
+        first, self._last = part.whole[:2], part
+        rows, cols = part.changed.within(first, self._cells.shape)
+        top, left = (max(edge - changed, 0) for edge, changed in zip(first, part.changed[:2], strict=True))
+        own = self._cells[rows, cols]
+        new = part.occupancy()[top : top + own.shape[0], left : left + own.shape[1]]
+        differs = np.argwhere(own != new)
+        own[:] = new
+        if is_resized:
+            self._served = 0
+        elif len(differs) and self._map.readers and not self._lacks_map():
+            box = box_of(differs)
+            changed = Box(box.top + rows.start, box.left + cols.start, box.bottom + rows.start, box.right + cols.start)
+            if self._updates.readers < self._map.readers or not self._send_update(part.stamp_ns, changed):
+                self._served = 0
+        self.serve()
+
+    def serve(self) -> None:
+        """Send the map to subscribers that have come, or that do not have it as it is."""
+        if self._last is not None and self._lacks_map():
+            readers, (row, col), cell_m = self._map.readers, self._whole[:2], self._last.cell_m
+            origin = col * cell_m, row * cell_m
+            message = self._messages.occupancy(self._last.stamp_ns, self._cells, origin, cell_m)
+            if self._map.send(self._messages.serialized(message, MAP.type)):
+                self._served = readers
+
+    def _lacks_map(self) -> bool:
+        """Whether a subscriber has not got the map as it was before the last change."""
+        readers = self._map.readers
+        self._served = min(self._served, readers)
+        return readers > self._served
+
+    def _send_update(self, stamp_ns: int, box: Box) -> bool:
+        """Send the cells of a box, rows and columns of the map; whether it is sent."""
+        cells = self._cells[box.top : box.bottom, box.left : box.right]
+        message = self._messages.occupancy_update(stamp_ns, cells, (box.top, box.left))
+        return self._updates.send(self._messages.serialized(message, UPDATES.type))
+
+    def _resize(self, whole: Box) -> None:
+        """Make room for a map that has grown; new cells are unknown."""
+        cells = np.full((whole.bottom - whole.top, whole.right - whole.left), -1, np.int8)
+        inner = cells[self._whole.within(whole[:2], cells.shape)]
+        inner[:] = self._cells[whole.within(self._whole[:2], self._cells.shape)]
+        self._whole, self._cells = whole, cells
+
+
+class MapSender:
+    """Gives the map to a process that sends it. A context manager, which ends the process."""
+
+    def __init__(self, network: Network, say: Callable[[str], object]) -> None:
+        """Begin; the process joins the network by itself. `say` prints a line if it cannot."""
+        self._say, self._parts = say, Parts()
+        context = multiprocessing.get_context("spawn")
+        self._queue: Queue[Part | None] = context.Queue()
+        self._is_free = context.Semaphore(1)
+        arguments = (network, self._queue, self._is_free)
+        self._process = context.Process(target=_send_maps, args=arguments, name="maps", daemon=True)
+        with _interrupts_blocked():
+            self._process.start()
+        self._taken_s, self._keyframes, self._has_ended = -_PERIOD_S, 0, False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._queue.put(None)
+        self._process.join(_LEAVE_S)
+        self._process.kill()
+        self._queue.cancel_join_thread()
+
+    def offer(self, stamp_ns: int, trace: Trace) -> None:
+        """Give on what keyframes have changed, at most every two seconds and if the last part is sent: none waits."""
+        keyframes, now_s = len(trace.key_stamps_ns), time.monotonic()
+        if keyframes == self._keyframes or now_s - self._taken_s < _PERIOD_S or self._has_ended:
+            return
+        if not self._process.is_alive():
+            self._has_ended = True
+            self._say("the map is not sent: the process that sends it has ended")
+        elif self._is_free.acquire(block=False):
+            self._taken_s, self._keyframes = now_s, keyframes
+            grid = trace.draw_map()
+            part = None if grid is None else self._parts.take(stamp_ns, grid, trace.config.grid.cell_m)
+            if part is None:
+                self._is_free.release()
+            else:
+                self._queue.put(part)
+
+
+def _send_maps(network: Network, parts: Queue[Part | None], is_free: Any) -> None:
+    """Send the map by its parts, as long as the process lives that gives them."""
+    parent = multiprocessing.parent_process()
+    with contextlib.suppress(NetworkError), Node(network) as node:
+        writer = MapWriter(node)
+        while parent is None or parent.is_alive():
+            try:
+                part = parts.get(timeout=_POLL_S)
+            except queue.Empty:
+                writer.serve()
+                continue
+            if part is None:
+                return
+            writer.take(part)
+            is_free.release()
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """A process that is started meanwhile does not hear Ctrl-C: who has started it ends it."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

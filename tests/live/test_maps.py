@@ -1,0 +1,109 @@
+"""Maps on the network: what a subscriber puts together of them is the map, whoever comes when."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.live.maps import MAP, UPDATES, MapWriter, Parts
+from sixthsense.record.messages import Messages
+from sixthsense.slam.mapping.grid import Grid
+
+MAKE, STAMP = Messages(), 1_700_000_000_123_456_789
+NO_WALLS = np.zeros((0, 2, 2))
+
+
+class Network:
+    """A node, and a subscriber that puts the map together."""
+
+    def __init__(self) -> None:
+        self.readers, self.sent = {MAP.name: 0, UPDATES.name: 0}, []
+        self.is_lost = False
+        self.cells, self.info = np.zeros((0, 0), np.int8), None
+
+    def writer(self, topic: Any) -> Any:
+        node = self
+
+        class Writer:
+            @property
+            def readers(self) -> int:
+                return node.readers[topic.name]
+
+            def send(self, data: bytes) -> bool:
+                if node.is_lost:
+                    return False
+                node.hear(topic.name, MAKE.store.deserialize_cdr(data, topic.type))
+                return True
+
+        return Writer()
+
+    def hear(self, name: str, message: Any) -> None:
+        self.sent.append(name)
+        if name == MAP.name:
+            self.info = message.info
+            self.cells = np.array(message.data).reshape(message.info.height, message.info.width)
+        else:
+            rows, cols = (
+                slice(at, at + size) for at, size in ((message.y, message.height), (message.x, message.width))
+            )
+            self.cells[rows, cols] = np.array(message.data).reshape(message.height, message.width)
+
+
+def a_trace() -> Any:
+    config = preset(grid={"cell_m": 0.15})
+    return SimpleNamespace(grid=Grid(config.grid, 0.2), config=config)
+
+
+def look(trace: Any, at: Pose, range_m: float) -> None:
+    """See around with beams of a length."""
+    ranges = np.linspace(0.6, 1.0, 200, dtype=np.float32) * np.float32(range_m)
+    trace.grid.add(at, Scan(ranges, np.float32(-2.9), np.float32(0.029), 9.0), NO_WALLS)
+
+
+def test_what_a_subscriber_puts_together_is_the_map_also_when_it_grows_is_lost_or_someone_comes():
+    node, trace, parts = Network(), a_trace(), Parts()
+    writer = MapWriter(node)
+
+    def tell(at: Pose, range_m: float) -> list[str]:
+        look(trace, at, range_m)
+        node.sent.clear()
+        part = parts.take(STAMP, trace.grid, trace.config.grid.cell_m)
+        assert part is not None and parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is None
+        writer.take(part)
+        return list(node.sent)
+
+    assert tell(Pose(0.4, -0.3, 0.7), 3.0) == []  # to nobody
+    node.readers.update({MAP.name: 1, UPDATES.name: 1})
+    writer.serve()
+    assert node.sent == [MAP.name]
+    steps = [
+        (Pose(0.5, -0.3, 0.9), 3.1, {}, [UPDATES.name]),
+        (Pose(0.5, -0.2, 1.4), 3.2, {MAP.name: 2}, [MAP.name]),
+        (Pose(0.4, -0.1, 1.9), 3.1, {}, [MAP.name]),  # one of them takes no updates
+        (Pose(0.3, -0.1, 2.2), 3.3, {MAP.name: 1}, [UPDATES.name]),
+        (Pose(29.3, -37.1, 2.2), 3.3, {}, [MAP.name]),  # it has grown
+        (Pose(29.2, -37.0, 2.9), 3.4, {}, [UPDATES.name]),
+    ]
+    for at, range_m, readers, expected in steps:
+        node.readers.update(readers)
+        assert tell(at, range_m) == expected
+        np.testing.assert_array_equal(node.cells, trace.grid.occupancy())
+        assert set(np.unique(node.cells)) == {-1, 0, 100}
+        assert (node.info.origin.position.x, node.info.origin.position.y) == trace.grid.origin
+    node.is_lost = True
+    tell(Pose(29.1, -37.0, 0.2), 3.5)
+    node.is_lost = False
+    writer.serve()
+    assert node.sent == [MAP.name]
+    np.testing.assert_array_equal(node.cells, trace.grid.occupancy())
+
+
+def test_a_map_that_is_too_large_for_a_message_is_not_sent():
+    trace, parts = a_trace(), Parts()
+    look(trace, Pose(0.4, -0.3, 0.7), 3.0)
+    assert parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is not None
+    look(trace, Pose(1500.0, 1400.0, 0.7), 3.0)
+    assert parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is None
