@@ -9,9 +9,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sixthsense.config import AssociationConfig, Config, LaserConfig, LaserNoise, merge, preset
-from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, predict_points
+from sixthsense.config import Config, LaserConfig, LaserNoise, merge, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import InnovationObserver, PriorInnovations, judge_matches, true_pair_nis
@@ -19,7 +19,7 @@ from sixthsense.evaluation.true_identities import TrueLaser, identify, true_iden
 from sixthsense.loop.run import run
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.features import extract
-from sixthsense.testing.sight import predict_points, predict_walls
+from sixthsense.testing.sight import predict_points
 
 MOUNT = (0.35, -0.2, 0.7)
 LASER = TrueLaser(LaserConfig(mount=MOUNT), LaserNoise(range_m=0.012, bearing_rad=0.001))
