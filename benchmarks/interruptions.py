@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.config import load_config
+from sixthsense.config.errors import InputError
 from sixthsense.figures.run import load
 from sixthsense.record.folder import has_record, reason_not_a_run
-from sixthsense.record.reading import RecordError
 from sixthsense.record.writing import FolderLock
 
 PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
@@ -127,7 +127,7 @@ def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
     if has_record(partial):
         try:
             load(partial)
-        except RecordError as error:
+        except InputError as error:
             # A live run is stopped before the robot was heard.
             if "found no scan" not in str(error):
                 raise

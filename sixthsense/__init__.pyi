@@ -10,7 +10,6 @@ from .campaigns.call import load_campaign as load_campaign
 from .figures.comparison import Comparison as Comparison
 from .figures.comparison import compare as compare
 from .config import Config as Config
-from .config import ConfigError as ConfigError
 from .config import load_config as load_config
 from .config import merge as merge
 from .config import preset as preset

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from sixthsense.config import Config, ConfigError, merge, preset
+from sixthsense.config import Config, merge, preset
+from sixthsense.config.errors import InputError
 from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
@@ -66,7 +67,7 @@ def run(
 
     Raises
     ------
-    ConfigError, SceneError, FolderError, RecordError, PriorMapError
+    InputError
         One line each: a field or value that is not allowed; an invalid scene, start or goal; a folder that exists, or
         cannot be written; a prior map that is damaged, or of another building.
 
@@ -125,7 +126,7 @@ def replay(
 
     Raises
     ------
-    ConfigError, LogError, RecordError, PriorMapError
+    InputError
         One line each: what is not allowed for this kind of log, and what cannot be read, with file and line.
 
     """
@@ -173,7 +174,7 @@ def merge_runs(
 
     Raises
     ------
-    ConfigError, LogError, MergeError
+    InputError
         One line each: as of `ss.replay`; two runs with different lasers, or that share no place.
 
     """
@@ -195,7 +196,7 @@ def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
     if isinstance(scene, Config):
         return _apply_fields(scene, given)
     if "scene" in given:
-        raise ConfigError(f"scene: found {shown(given['scene'])} beside {shown(str(scene))}, allowed: one scene")
+        raise InputError("scene", f"found {shown(given['scene'])} beside {shown(str(scene))}", "one scene")
     return _apply_fields(given.pop("preset", "default"), {**given, "scene": str(scene)})
 
 
@@ -215,7 +216,7 @@ def _opened(
     from sixthsense.sources.replay_input import Recorded, of_log, relations_of
 
     if config is None:
-        raise ConfigError("config: found none for an opened log, allowed: a Config, such as ss.preset()")
+        raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
     known = read_relations(relations) if isinstance(relations, (str, Path)) else relations
     notes = log.remarks()
     if known is not None:
@@ -236,7 +237,7 @@ def _open_with_config(
 
     check_options(log, given, chosen)
     if config is not None and "preset" in given:
-        raise ConfigError(f"preset: found {shown(given['preset'])} with a complete configuration, allowed: fields")
+        raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
     base = given.pop("preset", None) if config is None else config
     check_out(log, None if out is None else Path(out))
     settings = _apply_fields(base_of(log) if base is None else base, given)
@@ -248,13 +249,13 @@ def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
     return Watch(() if on_tick is None else (on_tick,), progress)
 
 
-def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Config:
+def with_task(config: Config, given: Mapping[str, Any]) -> Config:
     """Complete the configuration from the `given` fields: a goal or a tour sets the task, a scene file gets absolute.
 
-    The absolute path makes the run repeatable from any working folder. `prefix` precedes the fields' names in messages.
-    Raises ConfigError for a goal or a tour with another task.
+    The absolute path makes the run repeatable from any working folder. Raises InputError for a goal or a tour with
+    another task.
     """
-    config = merge(config, task_of(given, prefix))
+    config = merge(config, task_of(given))
     if Path(config.scene).suffix:
         config = dataclasses.replace(config, scene=str(absolute(config.scene)))
     return config
@@ -263,7 +264,7 @@ def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Con
 def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
     """Apply the given fields to a preset or a complete configuration."""
     if isinstance(base, Config) and "preset" in given:
-        raise ConfigError(f"preset: found {shown(given['preset'])} with a complete configuration, allowed: fields")
+        raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
     return merge(base if isinstance(base, Config) else preset(base), given)
 
 
@@ -281,6 +282,6 @@ def _register_custom(fields: Mapping[str, Any]) -> dict[str, Any]:
             try:
                 register(name, value)
             except ValueError as error:
-                raise ConfigError(f"{field}: {error}") from None
+                raise InputError(field, str(error)) from None
             given[field] = name
     return given

@@ -17,9 +17,10 @@ from sixthsense.auditing.pairing import (
     same_space,
     time_offset_s,
 )
-from sixthsense.auditing.poses import AuditError, Frame, Poses
+from sixthsense.auditing.poses import Frame, Poses
 from sixthsense.auditing.result import Audit, axis_notes, read_as
 from sixthsense.auditing.statistics import findings, is_other_frame
+from sixthsense.config.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ def audit(
     runs = [_compared(*one, options) for one in _matched(estimate, truth, covariance)]
     own, other = [run.errors for run in runs], [run.other for run in runs]
     if len({run.error.shape[1] for run in own}) > 1:
-        raise AuditError("estimate: found runs in the plane and in space, allowed: all in one of them")
+        raise InputError("estimate", "found runs in the plane and in space", "all in one of them")
     first, several = runs[0].estimate, len(runs) > 1
     read: Frame = first.frame or "world"
     found = findings(own, align, read)
@@ -102,15 +103,15 @@ def _matched(
     truth: Source | list[Source] | None,
     covariance: str | Path | list[str | Path] | None,
 ) -> list[tuple[Source, Source | None, Path | None]]:
-    """Each estimate with its truth and its file of covariances; AuditError for another number of them."""
+    """Each estimate with its truth and its file of covariances; InputError for another number of them."""
     estimates: Sequence[Source] = estimate if isinstance(estimate, list) else [estimate]
     truths: Sequence[Source | None] = truth if isinstance(truth, list) else [truth] * (truth is not None)
     files = covariance if isinstance(covariance, list) else [] if covariance is None else [covariance]
     if not estimates:
-        raise AuditError("estimate: found none, allowed: one or more")
+        raise InputError("estimate", "found none", "one or more")
     for name, count in (("truth", len(truths)), ("covariance", len(files))):
         if count not in (0, len(estimates)):
-            raise AuditError(f"{name}: found {count} for {len(estimates)} estimates, allowed: one for each, in order")
+            raise InputError(name, f"found {count} for {len(estimates)} estimates", "one for each, in order")
     nothing = [None] * len(estimates)
     paths = [Path(file) for file in files]
     return list(zip(estimates, truths or nothing, paths or nothing, strict=True))

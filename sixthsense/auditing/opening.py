@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.auditing.pairing import Align
-from sixthsense.auditing.poses import AuditError, Frame, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked, shown
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
@@ -55,10 +56,10 @@ class Options:
             checked(name, known, getattr(self, name))
         offset = self.time_offset
         if offset is not None and not (isinstance(offset, (int, float)) and 0.0 < offset <= 1e6):
-            raise AuditError(f"time offset: found {shown(offset)}, allowed: the largest one to search, s, above 0")
+            raise InputError("time offset", f"found {shown(offset)}", "the largest one to search, s, above 0")
         frames = self.truth_frames
         if frames is not None and (isinstance(frames, str) or len(frames) != 2 or not all(frames)):
-            raise AuditError(f"truth frames: found {shown(frames)}, allowed: two names, parent and child")
+            raise InputError("truth frames", f"found {shown(frames)}", "two names, parent and child")
 
 
 def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:
@@ -84,7 +85,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
     if run is not None:
         return _truth_of_run(*run)
     if source is None:
-        raise AuditError(f"truth: found nothing, allowed: the true poses of {estimate.name}")
+        raise InputError("truth", "found nothing", f"the true poses of {estimate.name}")
     if not isinstance(source, (str, Path)):
         return _of_arrays("truth", source, ("stamps", "poses"))
     path = Path(source)
@@ -112,9 +113,10 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
         return replace(poses, frame="world", frames=(found.parent, found.child))
     path = _file(path)
     if covariance is None:
-        raise AuditError(
-            f"covariance: found nothing for {path}, allowed: a file with a stamp and 6 or 21 numbers of the upper "
-            "triangle in each line"
+        raise InputError(
+            "covariance",
+            f"found nothing for {path}",
+            "a file with a stamp and 6 or 21 numbers of the upper triangle in each line",
         )
     from sixthsense.sources.logs.stamps import matched
     from sixthsense.sources.logs.text_lines import read_covariances, read_tum
@@ -125,7 +127,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     rows = matched(1e-9 * cov_stamps, 1e-9 * stamps)
     has = rows >= 0
     if not has.any():
-        raise AuditError(f"{covariance}: found no stamp of {path}, allowed: the stamps of its poses")
+        raise InputError(covariance, f"found no stamp of {path}", "the stamps of its poses")
     off_s = 1e-9 * float(np.abs(cov_stamps[rows[has]] - stamps[has]).max())
     if not has.all() or off_s > _ROUNDED_S:
         count = f"{np.count_nonzero(has):,} of {len(has):,} poses"
@@ -135,10 +137,10 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
 
 def _file(path: Path) -> Path:
     if not path.exists():
-        raise AuditError(f"{path}: no such file")
+        raise InputError(path, "no such file")
     if path.is_dir():
         kinds = "a ROS bag (.bag, .mcap, .db3, or a folder with metadata.yaml), a TUM file, the folder of a run"
-        raise AuditError(f"{path}: found a folder, allowed: {kinds}")
+        raise InputError(path, "found a folder", kinds)
     return path
 
 
@@ -155,21 +157,21 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
 
 def _estimate_of_run(name: str, trace: Trace) -> Poses:
     if not trace.key_estimates:
-        raise AuditError(f"{name}: found no keyframe, allowed: a run with estimates")
+        raise InputError(name, "found no keyframe", "a run with estimates")
     poses = made(name, np.array(trace.key_stamps_ns, dtype=np.int64), *key_poses(trace.key_estimates))
     return replace(poses, frame="world")
 
 
 def _truth_of_run(name: str, trace: Trace) -> Poses:
     if not trace.truths:
-        raise AuditError(f"{name}: found a run without truth, allowed: a truth from elsewhere")
+        raise InputError(name, "found a run without truth", "a truth from elsewhere")
     return made(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
 
 
 def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
     """The poses of a frame in another one, at the stamps of the link that is sent most often."""
     if not all(frames):
-        raise AuditError("--truth-frames: found none, allowed: parent and child in /tf, such as map base_link")
+        raise InputError("truth_frames", "found none", "parent and child in /tf, such as map base_link")
     from sixthsense.sources.logs.bag_file import read_transforms
 
     links = [made(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
@@ -188,9 +190,9 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
 
 
 def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
-    """Poses from the caller's arrays; AuditError names the array, what was expected and what was found."""
+    """Poses from the caller's arrays; InputError names the array, what was expected and what was found."""
     if isinstance(given, (bytes, dict)) or not hasattr(given, "__len__") or len(given) != len(names):
-        raise AuditError(f"{what}: found {_described(given)}, allowed: a file, a run, or arrays ({', '.join(names)})")
+        raise InputError(what, f"found {_described(given)}", f"a file, a run, or arrays ({', '.join(names)})")
     try:
         stamps_s = as_array(f"{what} stamps", given[0], ("N",))
         poses = as_array(f"{what} poses", given[1], ("N", "n", "n") if np.ndim(given[1]) == 3 else ("N", "n"))
@@ -203,9 +205,9 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         if len(stamps_s) == 0 or any(len(one) != len(stamps_s) for one in (poses, covs) if one is not None):
             raise ValueError(f"{what}: expected as many stamps as poses and covariances, at least one")
     except ValueError as error:
-        raise AuditError(str(error)) from None
+        raise InputError("", str(error)) from None
     if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
-        raise AuditError(f"{what} covariances: found 6 x 6 of planar poses, allowed: 3 x 3")
+        raise InputError(f"{what} covariances", "found 6 x 6 of planar poses", "3 x 3")
     return made(what, _nanoseconds(stamps_s), poses, covs)
 
 

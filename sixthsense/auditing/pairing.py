@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.auditing import rotations
-from sixthsense.auditing.poses import AuditError, Frame, Poses, interpolated, is_of_plane
+from sixthsense.auditing.poses import Frame, Poses, interpolated, is_of_plane
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
@@ -80,7 +81,7 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     """The estimate at the instants between true poses, with the truth interpolated there, `offset_ns` later.
 
     Poses whose covariance has no full rank are left out, since their NEES is not defined, and those in a gap of the
-    truth. Raises AuditError if nothing is left, and if the estimate is the truth.
+    truth. Raises InputError if nothing is left, and if the estimate is the truth.
     """
     estimate, truth, notes = same_space(estimate, truth)
     notes = [*estimate.notes, *truth.notes, *notes]
@@ -89,9 +90,10 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     inside = (at >= truth.stamps_ns[0]) & (at <= truth.stamps_ns[-1])
     if len(truth) < 2 or not inside.any():
         spans = [f"{one[0] * 1e-9:.3f} to {one[-1] * 1e-9:.3f} s" for one in (at, truth.stamps_ns)]
-        raise AuditError(
-            f"stamps: found {estimate.name} from {spans[0]} and {truth.name} from {spans[1]}, allowed: one clock, "
-            "and times that overlap"
+        raise InputError(
+            "stamps",
+            f"found {estimate.name} from {spans[0]} and {truth.name} from {spans[1]}",
+            "one clock, and times that overlap",
         )
     after = np.clip(np.searchsorted(truth.stamps_ns, at), 1, len(truth) - 1)
     gaps = np.diff(truth.stamps_ns)
@@ -109,9 +111,10 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     ):
         notes += [f"left out: {count:,} of {len(estimate):,} poses {why}"] if count else []
     if not used.any():
-        raise AuditError(
-            f"{estimate.name}: found no pose beside the truth whose covariance has full rank, allowed: covariances of "
-            f"{'x, y and heading' if estimate.is_planar else 'all six axes'}"
+        raise InputError(
+            estimate.name,
+            "found no pose beside the truth whose covariance has full rank",
+            f"covariances of {'x, y and heading' if estimate.is_planar else 'all six axes'}",
         )
     estimate = estimate.part(used)
     positions, orientations = interpolated(truth, at[used])
@@ -140,7 +143,7 @@ def errors_of(pair: Pair, motion: Motion, align: Align, frame: Frame) -> Errors:
     if align != "first":
         return found
     if len(found.error) < 2:
-        raise AuditError(f"{pair.estimate.name}: found a single pose, allowed: two or more for an alignment")
+        raise InputError(pair.estimate.name, "found a single pose", "two or more for an alignment")
     carry = rotations.levers(pair.truth.positions[1:] - pair.truth.positions[0])
     cov = found.cov[1:] + carry @ found.cov[0] @ rotations.transposed(carry)
     weight = np.mean(rotations.transposed(carry) @ np.linalg.solve(cov, carry), axis=0) @ found.cov[0]
@@ -152,7 +155,7 @@ def errors_of(pair: Pair, motion: Motion, align: Align, frame: Frame) -> Errors:
 def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, frame: Frame) -> float:
     """Seconds to add to the stamps of the estimate, within +- `limit_s`, so that its mean NEES is least.
 
-    The search uses the poses whose stamps lie within the truth for every offset. Raises AuditError if there are none,
+    The search uses the poses whose stamps lie within the truth for every offset. Raises InputError if there are none,
     and if the least value lies at the limit.
     """
     from scipy.optimize import minimize_scalar
@@ -161,9 +164,7 @@ def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, f
     low, high = truth.stamps_ns[0] + limit_ns, truth.stamps_ns[-1] - limit_ns
     rows = np.flatnonzero((estimate.stamps_ns >= low) & (estimate.stamps_ns <= high))
     if len(rows) < 2:
-        raise AuditError(
-            f"time offset: found no pose more than {limit_s:g} s within the truth, allowed: a smaller limit"
-        )
+        raise InputError("time offset", f"found no pose more than {limit_s:g} s within the truth", "a smaller limit")
     some = estimate.part(rows[np.unique(np.linspace(0, len(rows) - 1, _COARSE_POSES).astype(np.int64))])
     every = estimate.part(rows)
 
@@ -175,9 +176,10 @@ def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, f
     grid = np.linspace(-limit_s, limit_s, 2 * _STEPS + 1)
     best = int(np.argmin([cost(offset) for offset in grid]))
     if best in (0, len(grid) - 1):
-        raise AuditError(
-            f"time offset: found the least NEES at the limit of {limit_s:g} s, allowed: a larger limit, or a robot "
-            "that moves"
+        raise InputError(
+            "time offset",
+            f"found the least NEES at the limit of {limit_s:g} s",
+            "a larger limit, or a robot that moves",
         )
     bounds = (grid[best - 1], grid[best + 1])
     found = minimize_scalar(cost, bounds=bounds, args=(every,), method="bounded", options={"xatol": 1e-5})
@@ -185,10 +187,10 @@ def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, f
 
 
 def check_is_not_the_truth(pair: Pair) -> None:
-    """Raise AuditError for an estimate without errors: somebody has given the same poses twice."""
+    """Raise InputError for an estimate without errors: somebody has given the same poses twice."""
     n = pair.truth.positions.shape[1]
     if np.abs(_errors(pair, (np.eye(n), np.zeros(n)), "world").error).max() <= _SAME:
-        raise AuditError(f"truth: found the poses of the estimate, {pair.estimate.name}, allowed: the true ones")
+        raise InputError("truth", f"found the poses of the estimate, {pair.estimate.name}", "the true ones")
 
 
 def _fitted(pair: Pair, frame: Frame, steps: int = 20) -> Motion:

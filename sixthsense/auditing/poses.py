@@ -21,10 +21,6 @@ PLANE = (0, 1, 5)
 _BESIDE = (2, 3, 4)
 
 
-class AuditError(InputError):
-    """Poses that cannot be audited: one line with what was found and what is allowed."""
-
-
 @dataclass(frozen=True, slots=True)
 class Poses:
     """N poses, sorted by their stamps, no stamp twice."""
@@ -107,15 +103,16 @@ def is_of_plane(poses: Poses) -> str:
 
 
 def check_covariances(poses: Poses) -> None:
-    """Raise AuditError for what is no covariance, with the stamp of the first one, and for nothing but zeros."""
+    """Raise InputError for what is no covariance, with the stamp of the first one, and for nothing but zeros."""
     covs = poses.covs
     assert covs is not None
     scale = np.abs(covs).max(axis=(1, 2))
     finite = np.isfinite(scale)
     if finite.all() and not scale.any():
-        raise AuditError(
-            f"{poses.name}: found covariances that are all zero, by which many drivers say 'unknown', "
-            "allowed: covariances that the estimator states"
+        raise InputError(
+            poses.name,
+            "found covariances that are all zero, by which many drivers say 'unknown'",
+            "covariances that the estimator states",
         )
     usable = np.where(finite[:, None, None], covs, 0.0)
     slack = COVARIANCE_SLACK * np.where(finite, scale, 0.0)
@@ -124,9 +121,10 @@ def check_covariances(poses: Poses) -> None:
     if not good.all():
         row = int(np.argmin(good))
         fault = covariance_fault(covs[row], lowest=-COVARIANCE_SLACK)
-        raise AuditError(
-            f"{poses.name}: found {fault} in the covariance at {poses.stamps_ns[row] * 1e-9:.6f} s, allowed: "
-            "symmetric, no eigenvalue below 0"
+        raise InputError(
+            poses.name,
+            f"found {fault} in the covariance at {poses.stamps_ns[row] * 1e-09:.6f} s",
+            "symmetric, no eigenvalue below 0",
         )
 
 

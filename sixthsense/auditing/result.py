@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.auditing.pairing import Align, Errors
-from sixthsense.auditing.poses import AuditError, Frame
+from sixthsense.auditing.poses import Frame
 from sixthsense.auditing.statistics import AXES, Factor, Findings, Outcome, factor
+from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.effective import LEAST_SAMPLES
@@ -90,11 +91,11 @@ class Audit:
         return known
 
     def save(self, file: str | Path) -> None:
-        """Write the numbers as JSON; AuditError if the file cannot be written."""
+        """Write the numbers as JSON; InputError if the file cannot be written."""
         try:
             Path(file).write_text(json.dumps(self.as_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
         except OSError as error:
-            raise AuditError(f"{file}: cannot be written ({error.strerror}), allowed: a file") from None
+            raise InputError(file, f"cannot be written ({error.strerror})", "a file") from None
 
     def plot(self) -> Picture:
         """The errors of the first run in their 3-sigma tubes, the NEES with its band, and a chi-square Q-Q diagram."""

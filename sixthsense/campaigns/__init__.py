@@ -3,13 +3,14 @@
 from sixthsense.campaigns.call import Campaign, Execution, campaign, complete, load_campaign
 from sixthsense.campaigns.cluster import connect, execute
 from sixthsense.campaigns.folder import Rows
-from sixthsense.campaigns.plan import CampaignError, CampaignPlan, PlannedRun
+from sixthsense.campaigns.plan import CampaignPlan, PlannedRun
+from sixthsense.config.errors import InputError
 
 __all__ = [
     "Campaign",
-    "CampaignError",
     "CampaignPlan",
     "Execution",
+    "InputError",
     "PlannedRun",
     "Rows",
     "campaign",

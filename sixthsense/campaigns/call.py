@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from sixthsense.campaigns.cluster import check_workers, connect, execute
 from sixthsense.campaigns.folder import Rows, check_folder, check_rows, read_folder, save_folder
-from sixthsense.campaigns.plan import AXES, CampaignError, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
+from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
 from sixthsense.campaigns.worker import FAILED
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
@@ -49,7 +49,7 @@ class Execution:
 def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, execution: Execution) -> None:
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
-    Each row is written when its run ends, also if an interrupt follows. Raises CampaignError for the folder of another
+    Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
     campaign, for workers that will not do, and if the scheduler is lost; FolderInUseError; OSError that names a file.
     """
     with FolderLock(out):
@@ -125,12 +125,9 @@ def campaign(
 
     """
     given: dict[str, Any] = dict(fields)
-    try:
-        planned = _plan(scenes, seeds, given)
-        execution = Execution(_worker_count(workers), None, retry_failed, progress)
-        complete(planned, plan(planned), Path(out), execution)
-    except InputError as error:  # of the command's options, which begin with --
-        raise type(error)(str(error).removeprefix("--")) from None
+    planned = _plan(scenes, seeds, given)
+    execution = Execution(_worker_count(workers), None, retry_failed, progress)
+    complete(planned, plan(planned), Path(out), execution)
     return Campaign(out)
 
 
@@ -138,10 +135,10 @@ def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given
     default = preset()
     texts = [scenes] if isinstance(scenes, (str, Path)) else list(scenes)
     if not texts or not all(isinstance(text, (str, Path)) for text in texts):
-        raise CampaignError(f"scenes: found {shown(scenes)}, allowed: names or files of scenes, one or several")
+        raise InputError("scenes", f"found {shown(scenes)}", "names or files of scenes, one or several")
     for name in ("scene", "seed"):
         if name in given:
-            raise CampaignError(f"{name}: found for a campaign, allowed: {name}s")
+            raise InputError(name, "found for a campaign", f"{name}s")
     axes = {axis: _values(axis, given.pop(axis, getattr(default, axis))) for axis in AXES if axis != "scene"}
     _check_known("estimator", axes["estimator"], ESTIMATORS)
     _check_known("planner", axes["planner"], PLANNERS)
@@ -149,35 +146,35 @@ def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given
 
 
 def _values(axis: str, value: Any) -> tuple[Any, ...]:
-    """One value or several as a tuple; CampaignError for none."""
+    """One value or several as a tuple; InputError for none."""
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
-        raise CampaignError(f"{axis}: found {shown(value)}, allowed: one value or several")
+        raise InputError(axis, f"found {shown(value)}", "one value or several")
     return values
 
 
 def _check_known(axis: str, values: tuple[Any, ...], names: Names) -> None:
-    """Raise CampaignError for a value that only this process knows, since the workers are other processes."""
+    """Raise InputError for a value that only this process knows, since the workers are other processes."""
     for value in values:
         if callable(value) or (value in names and value not in names.shipped):
             known = ", ".join(names.shipped)
-            raise CampaignError(f"{axis}: found {shown(value)}, which the workers do not know, allowed: {known}")
+            raise InputError(axis, f"found {shown(value)}, which the workers do not know", known)
 
 
 def _seeds(seeds: Any) -> list[int]:
-    allowed = "allowed: whole numbers of at least 0, such as range(20)"
+    allowed = "whole numbers of at least 0, such as range(20)"
     if not isinstance(seeds, Iterable) or isinstance(seeds, str):
-        raise CampaignError(f"seeds: found {shown(seeds)}, {allowed}")
+        raise InputError("seeds", f"found {shown(seeds)}", allowed)
     found = list(seeds)
     for seed in found or [None]:
         if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
-            raise CampaignError(f"seeds: found {'none' if seed is None else shown(seed)}, {allowed}")
+            raise InputError("seeds", f"found {'none' if seed is None else shown(seed)}", allowed)
     return [int(seed) for seed in found]
 
 
 def _worker_count(workers: int | None) -> int | None:
     if workers is not None and not (isinstance(workers, int) and 1 <= workers <= 1024):
-        raise CampaignError(f"workers: found {shown(workers)}, allowed: a whole number from 1 to 1024")
+        raise InputError("workers", f"found {shown(workers)}", "a whole number from 1 to 1024")
     return workers
 
 
@@ -188,7 +185,7 @@ class Campaign(Sampled):
     """
 
     def __init__(self, folder: str | Path) -> None:
-        """Open a folder; raises CampaignError for one that is not a campaign's, and without pandas or pyarrow."""
+        """Open a folder; raises InputError for one that is not a campaign's, and without pandas or pyarrow."""
         self.folder = Path(folder)
         """with campaign.toml, rows/ and curves/"""
         self.name = self.folder.absolute().name
@@ -201,7 +198,7 @@ class Campaign(Sampled):
         """A row per run, sorted: scene, estimator, front_end, preset, planner, seed, and a column per metric.
 
         A metric that a run lacks is NaN. A run that raised has the outcome "error" and the reason in the column
-        `error`. Raises CampaignError for a table that cannot be read.
+        `error`. Raises InputError for a table that cannot be read.
         """
         frame = self._rows.frame()
         frame["front_end"] = [self._setting(axes).front_end for axes in frame[list(AXES)].itertuples(index=False)]
@@ -247,6 +244,6 @@ def load_campaign(folder: Path | str) -> Campaign:
 
         ss.load_campaign("mc").frame().groupby("estimator")["ate_rmse_m"].median()
 
-    Raises CampaignError for a folder that is not a campaign's, and if pandas or pyarrow is missing.
+    Raises InputError for a folder that is not a campaign's, and if pandas or pyarrow is missing.
     """
     return Campaign(folder)

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaigns.plan import CampaignError, CampaignPlan, PlannedRun, import_extra
+from sixthsense.campaigns.plan import CampaignPlan, PlannedRun, import_extra
 from sixthsense.campaigns.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import deferred_interrupt
@@ -32,11 +33,11 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
     """Connect to the scheduler at an address, or start a local cluster of processes with one thread each.
 
     `workers` is the number of local processes, by default one per processor. `dashboard` is the preferred port of the
-    local cluster's dashboard. Raises CampaignError if Dask is missing, if the scheduler cannot be reached, and if it
+    local cluster's dashboard. Raises InputError if Dask is missing, if the scheduler cannot be reached, and if it
     has no workers.
     """
     dask, distributed = import_extra("dask"), import_extra("distributed")
-    # Silence Dask's log: the runs' rows report lost workers, and CampaignError a lost scheduler.
+    # Silence Dask's log: the runs' rows report lost workers, and InputError a lost scheduler.
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.split(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -64,9 +65,10 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
             client = _reach(distributed, scheduler)
         stack.callback(_close_quietly, client.close)
         if scheduler is not None and not _has_workers(client):
-            raise CampaignError(
-                f"--scheduler: {shown(scheduler)} has no workers after {REACH_S:g} s, "
-                f"allowed: a scheduler with workers, started with dask worker {scheduler}"
+            raise InputError(
+                "scheduler",
+                f"{shown(scheduler)} has no workers after {REACH_S:g} s",
+                f"a scheduler with workers, started with dask worker {scheduler}",
             )
         yield client
 
@@ -86,9 +88,10 @@ def _reach(distributed: Any, address: str) -> Any:
         while cause.__cause__ is not None:
             cause = cause.__cause__
         reason = f"no answer in {REACH_S:g} s" if isinstance(error, TimeoutError) else one_line(cause)
-        raise CampaignError(
-            f"--scheduler: {shown(address)} cannot be reached ({reason}), "
-            "allowed: the address of a running dask scheduler, such as tcp://127.0.0.1:8786"
+        raise InputError(
+            "scheduler",
+            f"{shown(address)} cannot be reached ({reason})",
+            "the address of a running dask scheduler, such as tcp://127.0.0.1:8786",
         ) from None
 
 
@@ -103,7 +106,7 @@ def _has_workers(client: Any) -> bool:
 def check_workers(client: Any, campaign: CampaignPlan) -> int:
     """Check that all workers produce the same runs, and return their number.
 
-    Raises CampaignError that names the worker. Every worker must have this version of the package, this minor version
+    Raises InputError that names the worker. Every worker must have this version of the package, this minor version
     of Python, and scenes of the same content.
     """
     # Functions can be pickled between equal minor versions of Python only, so this check comes first.
@@ -111,23 +114,22 @@ def check_workers(client: Any, campaign: CampaignPlan) -> int:
     for address, found in {"scheduler": versions["scheduler"], **versions["workers"]}.items():
         minor = ".".join(found["host"]["python"].split(".")[:2])
         if minor != python_minor():
-            raise CampaignError(f"worker {address}: found Python {minor}, allowed: {python_minor()}")
+            raise InputError(f"worker {address}", f"found Python {minor}", f"{python_minor()}")
     digests, map_unknown = campaign.digests(), campaign.bases()[0].map_unknown
     answers = client.run(describe, list(digests), map_unknown, on_error="return")
     for address, answer in answers.items():
         if isinstance(answer, BaseException):
-            raise CampaignError(
-                f"worker {address}: found no usable sixthsense ({one_line(answer)}), allowed: version {__version__}"
+            raise InputError(
+                f"worker {address}", f"found no usable sixthsense ({one_line(answer)})", f"version {__version__}"
             )
         if answer["sixthsense"] != __version__:
-            raise CampaignError(
-                f"worker {address}: found version {answer['sixthsense']} of sixthsense, allowed: {__version__}"
-            )
+            raise InputError(f"worker {address}", f"found version {answer['sixthsense']} of sixthsense", __version__)
         for scene, digest in digests.items():
             if answer["scenes"][scene] != digest:
-                raise CampaignError(
-                    f"worker {address}: found another scene {scene} than on this machine "
-                    f"({answer['scenes'][scene]}), allowed: the same file at the same path"
+                raise InputError(
+                    f"worker {address}",
+                    f"found another scene {scene} than on this machine ({answer['scenes'][scene]})",
+                    "the same file at the same path",
                 )
     return len(answers)
 
@@ -136,7 +138,7 @@ def execute(client: Any, runs: Mapping[str, PlannedRun], on_row: Callable[[dict[
     """Execute the runs, given by hash, on the workers, and call `on_row` once per run when its row arrives.
 
     A run whose worker dies is repeated on another worker. After more deaths than the scheduler's `allowed-failures`
-    (3 by default) its row has the outcome "error". Raises CampaignError when the scheduler is lost or a worker with
+    (3 by default) its row has the outcome "error". Raises InputError when the scheduler is lost or a worker with
     another version of the package joins, and any exception of `on_row`. Unfinished runs are then cancelled.
     """
     waiting = iter(runs.items())
@@ -170,14 +172,14 @@ def execute(client: Any, runs: Mapping[str, PlannedRun], on_row: Callable[[dict[
 
 @contextlib.contextmanager
 def _scheduler_errors() -> Iterator[None]:
-    """Convert the loss of the scheduler within the block into a CampaignError."""
+    """Convert the loss of the scheduler within the block into an InputError."""
     from concurrent.futures import CancelledError
 
     try:
         yield
     except (OSError, CancelledError):
-        raise CampaignError(
-            "scheduler: found the connection lost, the finished rows are kept, allowed: the same command again"
+        raise InputError(
+            "scheduler", "found the connection lost, the finished rows are kept", "the same command again"
         ) from None
 
 
@@ -194,7 +196,7 @@ def _row(future: Any, run: PlannedRun) -> dict[str, Any]:
     except (OSError, CancelledError):
         raise
     except OtherVersionError as error:
-        raise CampaignError(f"worker that joined late: {error}") from None
+        raise InputError("worker that joined late", str(error)) from None
     except Exception as error:
         # The message of KilledWorker is several sentences long.
         killed = type(error).__name__ == "KilledWorker"

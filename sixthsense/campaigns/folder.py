@@ -15,17 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.campaigns.plan import (
-    AXES,
-    CampaignError,
-    CampaignPlan,
-    PlannedRun,
-    import_extra,
-    ranges,
-    seed_range,
-)
+from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, import_extra, ranges, seed_range
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.config import as_table, merge, preset
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import Curves
@@ -48,31 +41,31 @@ _COLUMNS = "all-columns.parquet"
 def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | None:
     """Check the output folder and return its `campaign.toml`, or None for a new or empty folder.
 
-    Raises CampaignError for a file, for a folder that is not a campaign's, and for a campaign with other shared fields
+    Raises InputError for a file, for a folder that is not a campaign's, and for a campaign with other shared fields
     or changed scenes. The axes may have other values: scenes, estimators, presets, planners and seeds can be added.
     """
-    allowed = "allowed: a new or empty folder, or that of this campaign"
+    allowed = "a new or empty folder, or that of this campaign"
     if folder.exists() and not folder.is_dir():
-        raise CampaignError(f"--out: {folder} is a file, {allowed}")
+        raise InputError("out", f"{folder} is a file", allowed)
     if not folder.exists() or not any(folder.iterdir()):
         return None
     if not (folder / FILE).is_file():
         kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"
-        raise CampaignError(f"--out: {folder} is {kind}, {allowed}")
+        raise InputError("out", f"{folder} is {kind}", allowed)
     saved = read_folder(folder)
     before, now = dict(_flatten(saved["fields"])), dict(_flatten(_typed_fields(campaign)))
     for name in dict.fromkeys([*before, *now]):
         if before.get(name) != now.get(name):
             old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
-            raise CampaignError(f"--out: {folder} is a campaign with {name} = {old}, found {new}, {allowed}")
+            raise InputError("out", f"{folder} is a campaign with {name} = {old}, found {new}", allowed)
     for scene, digest in campaign.digests().items():
         if saved["scenes"].get(scene, digest) != digest:
-            raise CampaignError(f"--out: the scene {scene} has changed since {folder} was created, {allowed}")
+            raise InputError("out", f"the scene {scene} has changed since {folder} was created", allowed)
     return saved
 
 
 def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: list[dict[str, Any]]) -> None:
-    """Raise CampaignError if the folder has a row of a planned run with another configuration.
+    """Raise InputError if the folder has a row of a planned run with another configuration.
 
     A preset or a default value that differs between two versions of the package is the usual cause.
     """
@@ -80,9 +73,11 @@ def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: list[dict[str
     for row in rows:
         values = tuple(row[name] for name in (*AXES, "seed"))
         if hashes.get(values, row["config_hash"]) != row["config_hash"]:
-            raise CampaignError(
-                f"--out: {folder} has the run {' '.join(map(str, values))} with another configuration, from version "
-                f"{row['version']} of the package, allowed: another folder"
+            raise InputError(
+                "out",
+                f"{folder} has the run {' '.join(map(str, values))} with another configuration, from version "
+                f"{row['version']} of the package",
+                "another folder",
             )
 
 
@@ -113,30 +108,30 @@ def save_folder(folder: Path, campaign: CampaignPlan, saved: Mapping[str, Any] |
 
 
 def read_folder(folder: Path) -> Mapping[str, Any]:
-    """Read `campaign.toml` as a table; raises CampaignError for a missing or damaged file."""
+    """Read `campaign.toml` as a table; raises InputError for a missing or damaged file."""
     file = folder / FILE
-    allowed = "allowed: the folder of a campaign"
+    allowed = "the folder of a campaign"
     if not file.is_file():
         found = f"no {FILE} in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
-        raise CampaignError(f"{folder}: found {found}, {allowed}")
+        raise InputError(folder, f"found {found}", allowed)
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise CampaignError(f"{file}: cannot be read ({error.strerror})") from None
+        raise InputError(file, f"cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
-        raise CampaignError(f"{file}: is not TOML ({error}), {allowed}") from None
+        raise InputError(file, f"is not TOML ({error})", allowed) from None
     for name in ("axes", "fields", "scenes"):
         if not isinstance(table.get(name), dict):
-            raise CampaignError(f"{file}: {name}: found no such table, {allowed}")
+            raise InputError(file, f"{name}: found no such table", allowed)
     for axis in (*AXES, "seeds"):
         values = table["axes"].get(axis)
         if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
-            raise CampaignError(f"{file}: axes.{axis}: found {shown(values)}, allowed: a list of texts")
+            raise InputError(file, f"axes.{axis}: found {shown(values)}", "a list of texts")
     try:
         for text in table["axes"]["seeds"]:
             seed_range(text)
-    except CampaignError as error:
-        raise CampaignError(f"{file}: axes.{str(error).removeprefix('--')}") from None
+    except InputError as error:
+        raise error.at(f"{file}: axes.{error.where}") from None
     return table
 
 
@@ -150,7 +145,7 @@ def _typed_fields(campaign: CampaignPlan) -> dict[str, Any]:
             if name in table
         }
 
-    return select(as_table(merge(preset(campaign.values["preset"][0]), campaign.fields, "--")), campaign.fields)
+    return select(as_table(merge(preset(campaign.values["preset"][0]), campaign.fields)), campaign.fields)
 
 
 def _plain(value: Any) -> Any:
@@ -169,7 +164,7 @@ class Rows:
     """The rows of one campaign, written by the driver alone; one file per run, so that no run has two rows."""
 
     def __init__(self, folder: Path) -> None:
-        """Open `folder`/rows, which may be missing; raises CampaignError if it cannot be read."""
+        """Open `folder`/rows, which may be missing; raises InputError if it cannot be read."""
         self.folder = folder / "rows"
         self._curves = folder / CURVES
         self._arrow, self._parquet = import_extra("pyarrow"), import_extra("pyarrow.parquet")
@@ -244,7 +239,7 @@ class Rows:
         try:
             return read()
         except (OSError, ValueError, KeyError) as error:  # base classes of Arrow's errors
-            raise CampaignError(f"{self.folder}: cannot be read ({error}), allowed: the rows of a campaign") from None
+            raise InputError(self.folder, f"cannot be read ({error})", "the rows of a campaign") from None
 
 
 def _cell(value: Any, kind: Any) -> Any:

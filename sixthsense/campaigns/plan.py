@@ -27,13 +27,9 @@ MOST_RUNS = 100_000
 _SEEDS = re.compile(r"([0-9]{1,18})(?::([0-9]{1,18}))?")
 
 
-class CampaignError(InputError):
-    """An invalid option, folder or worker: one line with what was found and what is allowed."""
-
-
 def import_extra(module: str) -> Any:
-    """A module of the extra `campaign`; CampaignError with the command that installs it if it is missing."""
-    return import_of_extra(module, "campaign", CampaignError)
+    """A module of the extra `campaign`; InputError with the command that installs it if it is missing."""
+    return import_of_extra(module, "campaign")
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class CampaignPlan:
 
     def bases(self) -> list[Config]:
         """The configuration of each preset with the shared fields."""
-        return [merge(preset(name), self.fields, "--") for name in self.values["preset"]]
+        return [merge(preset(name), self.fields) for name in self.values["preset"]]
 
     def digests(self) -> dict[str, str]:
         """The hash of each scene's content, as `scene_digest`."""
@@ -63,7 +59,7 @@ class CampaignPlan:
     def settings(self) -> list[Config]:
         """The configuration of every combination of the axes but the seed, with seed 0.
 
-        Raises ConfigError for a name or field that is not allowed, SceneError for a scene, start or goal.
+        Raises InputError for a name or field that is not allowed, InputError for a scene, start or goal.
         """
         from sixthsense.sources.mission import mission, with_people
         from sixthsense.sources.scene import load_scene
@@ -77,7 +73,7 @@ class CampaignPlan:
                 mission(loaded, at_scene)
                 for planner, estimator in itertools.product(self.values["planner"], self.values["estimator"]):
                     names = {"planner": planner, "estimator": estimator, "seed": 0}
-                    found.append(merge(at_scene, names, "--"))
+                    found.append(merge(at_scene, names))
         return found
 
 
@@ -103,11 +99,11 @@ class PlannedRun:
 def plan(campaign: CampaignPlan) -> dict[str, PlannedRun]:
     """All runs of a campaign by the hash of their configuration, ordered by seed, so that settings progress equally.
 
-    Raises CampaignError for too many runs, and the errors of `CampaignPlan.settings`.
+    Raises InputError for too many runs, and the errors of `CampaignPlan.settings`.
     """
     count = math.prod(map(len, (*campaign.values.values(), campaign.seeds)))
     if count > MOST_RUNS:
-        raise CampaignError(f"campaign: found {count} runs, allowed: at most {MOST_RUNS}")
+        raise InputError("campaign", f"found {count} runs", f"at most {MOST_RUNS}")
     tables = [(setting, as_table(setting)) for setting in campaign.settings()]
     return {
         _hash({**table, "seed": seed}): PlannedRun(setting, seed)
@@ -126,7 +122,7 @@ def _hash(table: Mapping[str, Any]) -> str:
 
 
 def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> str:
-    """Hash of all of a scene's content but its name, 16 hexadecimal digits; raises SceneError.
+    """Hash of all of a scene's content but its name, 16 hexadecimal digits; raises InputError.
 
     `map_unknown` is what the unknown cells of a map_server map are.
     """
@@ -141,18 +137,18 @@ def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> s
 def seed_range(text: str) -> range:
     """Parse `FIRST:LAST`, such as `0:100`, where LAST is excluded, or a single seed such as `7`.
 
-    Raises CampaignError for an empty, reversed or malformed range.
+    Raises InputError for an empty, reversed or malformed range.
     """
     found = _SEEDS.fullmatch(text)
-    allowed = "allowed: FIRST:LAST with LAST, which is excluded, above FIRST, such as 0:100, or one seed"
+    allowed = "FIRST:LAST with LAST, which is excluded, above FIRST, such as 0:100, or one seed"
     if found is None:
-        raise CampaignError(f"--seeds: found {shown(text)}, {allowed}")
+        raise InputError("seeds", f"found {shown(text)}", allowed)
     first = int(found[1])
     last = first + 1 if found[2] is None else int(found[2])
     if last <= first:
-        raise CampaignError(f"--seeds: found {shown(text)}, {'empty' if last == first else 'reversed'}, {allowed}")
+        raise InputError("seeds", f"found {shown(text)}, {'empty' if last == first else 'reversed'}", allowed)
     if last - first > MOST_RUNS:
-        raise CampaignError(f"--seeds: found {last - first} seeds, allowed: at most {MOST_RUNS}")
+        raise InputError("seeds", f"found {last - first} seeds", f"at most {MOST_RUNS}")
     return range(first, last)
 
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from sixthsense.campaigns.call import Campaign
 from sixthsense.campaigns.folder import read_folder
-from sixthsense.campaigns.plan import AXES, CampaignError
+from sixthsense.campaigns.plan import AXES
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.groups import MOST_GROUPS, Group, Sample, differing, grouped, labelled
 from sixthsense.evaluation.results import QUANTITIES
 from sixthsense.evaluation.tables import digits
-from sixthsense.figures.canvas import FigureError
 from sixthsense.figures.groups import group_figure
 from sixthsense.figures.plot import save
 from sixthsense.figures.report import Form, contents, document, escaped, figure_block, flat_texts, metrics_rows, table
@@ -33,13 +33,13 @@ def report_campaign(folder: str | Path, out: str | Path, form: Form = "png") -> 
     """Write figures, `metrics.csv` and `report.html` on a running or finished campaign into the folder `out`.
 
     Runs are grouped by the axes that differ, scene by scene. `form` "svg" or "pdf" adds each figure as vector graphics.
-    A figure whose data all runs lack is left out. Returns the written files. Raises CampaignError for a folder that is
+    A figure whose data all runs lack is left out. Returns the written files. Raises InputError for a folder that is
     not a campaign's, and for one without runs.
     """
     campaign, out = Campaign(folder), Path(out)
     samples = campaign.samples(campaign.name)
     if not samples:
-        raise CampaignError(f"{folder}: found no runs, allowed: a campaign with at least one")
+        raise InputError(folder, "found no runs", "a campaign with at least one")
     out.mkdir(parents=True, exist_ok=True)
     pictures: dict[Path, str] = {}
     files: list[Path] = []
@@ -84,7 +84,7 @@ def _draw(
         what, _, over = name.partition("-")
         try:
             picture = group_figure(what, samples, by, "distance" if over else "time", None)
-        except FigureError:
+        except InputError:
             continue
         file = out / f"{name}{suffix}.png"
         save(picture, file)

@@ -9,9 +9,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from sixthsense.cli.help import help_text, help_topic
-from sixthsense.cli.options import UsageError
-from sixthsense.config.errors import InputError, allowed_names, nearest
+from sixthsense.cli.help import command_class, help_text, help_topic
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
@@ -104,7 +103,7 @@ def _run(args: list[str]) -> int:
             return DONE
         if args[0] not in COMMANDS:
             near = nearest(args[0], (*COMMANDS, "--help", "--version"))
-            raise UsageError(f"command: found {args[0]!r}, {allowed_names(COMMANDS, near)}")
+            raise InputError("command", f"found {args[0]!r}", ", ".join(COMMANDS), near)
         command, words = import_module(f"sixthsense.cli.{args[0]}").command, args[1:]
         if (topic := help_topic(words)) is not None:
             print(help_text(args[0], topic))
@@ -114,7 +113,9 @@ def _run(args: list[str]) -> int:
     except BrokenPipeError:
         return FAILED
     except InputError as error:
-        return _report_error(str(error))
+        from sixthsense.cli.options import with_options
+
+        return _report_error(with_options(error, command_class(args[0])) if args[0] in COMMANDS else str(error))
     except MemoryError as error:
         return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]))
     except OSError as error:

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from sixthsense.cli import DONE, FAILED
-from sixthsense.cli.options import OptionalValue, Options, UsageError, arg, parse, positional
+from sixthsense.cli.options import OptionalValue, Options, arg, parse, positional
 from sixthsense.config import Range
+from sixthsense.config.errors import InputError
 
 _FORMS = (".png", ".svg", ".pdf")
 
@@ -69,7 +70,7 @@ def command(args: list[str]) -> int:
     """Audit the covariances of a system's poses."""
     options = Audit(**parse(args, Audit)[0])
     if not options.estimate:
-        raise UsageError("estimate: found nothing, allowed: a bag, a TUM file or the folder of a run, before --truth")
+        raise InputError("estimate", "found nothing", "a bag, a TUM file or the folder of a run, before `truth`")
     _check_outputs(options)
     from sixthsense.auditing.call import audit
 
@@ -96,10 +97,10 @@ def command(args: list[str]) -> int:
 
 
 def _check_outputs(options: Audit) -> None:
-    """Raise UsageError for a file that exists and may not be replaced, and for a figure of another form."""
+    """Raise InputError for a file that exists and may not be replaced, and for a figure of another form."""
     for name, file in (("json", options.json), ("figure", options.figure)):
         if file is not None and file.exists() and not options.overwrite:
-            raise UsageError(f"--{name}: {file} exists, allowed: a new file, or --overwrite")
+            raise InputError(name, f"{file} exists", "a new file, or `overwrite`")
     figure = options.figure
     if figure is not None and figure.suffix.lower() not in _FORMS:
-        raise UsageError(f"--figure: found {str(figure)!r}, allowed: a file that ends in {', '.join(_FORMS)}")
+        raise InputError("figure", f"found {str(figure)!r}", f"a file that ends in {', '.join(_FORMS)}")

@@ -8,7 +8,8 @@ from typing import Annotated
 
 from sixthsense.cli import DONE
 from sixthsense.cli.common import OfScene, announce, parse_command
-from sixthsense.cli.options import UsageError, arg
+from sixthsense.cli.options import arg
+from sixthsense.config.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ def command(args: list[str]) -> int:
     """Measure the robot's noise."""
     options, flags = parse_command(Calibrate, args)
     if options.out is None:
-        raise UsageError("--out: found nothing, allowed: a file to write, such as noise.toml")
+        raise InputError("out", "found nothing", "a file to write, such as noise.toml")
     config = options.settings_of_scene(flags)
     from tqdm import tqdm
 

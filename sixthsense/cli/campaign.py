@@ -9,8 +9,9 @@ from typing import Annotated, Any, ClassVar
 
 from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
-from sixthsense.cli.options import Options, Table, UsageError, arg, parse, positional
+from sixthsense.cli.options import Options, Table, arg, parse, positional
 from sixthsense.config import Range, is_of_replay, load_config, preset, prior_map_of
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import ESTIMATORS, PLANNERS
 from sixthsense.config.tree import task_of
 
@@ -62,7 +63,7 @@ def command(args: list[str]) -> int:
     file = _read_config_table(options.config, options.preset)
     axes = {axis: getattr(options, axis) or (file.get(axis, getattr(preset(), axis)),) for axis in AXES}
     seeds = (seed for text in options.seeds for seed in seed_range(text))
-    campaign = campaign_of(axes, seeds, file, task_of(table, "--"), table)
+    campaign = campaign_of(axes, seeds, file, task_of(table), table)
     runs = plan(campaign)
     execution = Execution(options.workers, options.scheduler, options.retry_failed, say=announce)
     interrupted = False
@@ -99,15 +100,15 @@ def _finish(out: Path, requested: set[str], interrupted: bool) -> int:
 
 
 def _checked_folder(options: Campaign, table: Table) -> Path:
-    """The folder to write; UsageError for missing options and for options that exclude each other."""
+    """The folder to write; InputError for missing options and for options that exclude each other."""
     if "seed" in table:
-        raise UsageError("--seed: found for a campaign, allowed: --seeds FIRST:LAST")
+        raise InputError("seed", "found for a campaign", "`seeds` FIRST:LAST")
     if not options.seeds:
-        raise UsageError("--seeds: found nothing, allowed: FIRST:LAST, such as 0:100")
+        raise InputError("seeds", "found nothing", "FIRST:LAST, such as 0:100")
     if options.out is None:
-        raise UsageError("--out: found nothing, allowed: a folder to write")
+        raise InputError("out", "found nothing", "a folder to write")
     if options.workers is not None and options.scheduler is not None:
-        raise UsageError("--workers: found with --scheduler, which has its own workers, allowed: one of the two")
+        raise InputError("workers", "found with `scheduler`, which has its own workers", "one of the two")
     return options.out
 
 
@@ -119,12 +120,12 @@ def _read_config_table(path: Path | None, presets: tuple[str, ...]) -> dict[str,
         load_config(path, preset(name))
     load_config(path)
     if is_of_replay(path):
-        raise UsageError(f"--config: {path} is of a replay, allowed: the configuration of a simulated run")
+        raise InputError("config", f"{path} is of a replay", "the configuration of a simulated run")
     if prior_map_of(path) is not None:
-        raise UsageError(f"--config: {path} is of a run with a prior map, allowed: the configuration of a run without")
+        raise InputError("config", f"{path} is of a run with a prior map", "the configuration of a run without")
     from sixthsense.config.files import NOTES, read_table
 
     table = read_table(path)
     if presets and "preset" in table:
-        raise UsageError(f"--preset: found with {path}, which names a preset, allowed: one of the two")
+        raise InputError("preset", f"found with {path}, which names a preset", "one of the two")
     return {name: value for name, value in table.items() if name not in NOTES}

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from sixthsense.cli import EXIT_CODES, FAILED
-from sixthsense.cli.options import OptionalValue, Options, Table, UsageError, arg, parse, positional, positional_of
-from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
+from sixthsense.cli.options import OptionalValue, Options, Table, arg, as_options, parse, positional, positional_of
+from sixthsense.config import Config, load_config, merge, preset, prior_map_of
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
 from sixthsense.config.section import shown
 from sixthsense.core.interrupt import is_command_ended
@@ -51,9 +52,9 @@ class OfScene(WithSettings):
     """Shipped scene, or a .toml, map_server .yaml, .scn file."""
 
     def settings_of_scene(self, flags: Table) -> Config:
-        """The configuration with the scene; UsageError for two scenes, SceneError for one that does not exist."""
+        """The configuration with the scene; InputError for two scenes, InputError for one that does not exist."""
         if self.scene is not None and "scene" in flags:
-            raise UsageError(f"--scene: found beside {self.scene!r}, allowed: one scene")
+            raise InputError("scene", f"found beside {self.scene!r}", "one scene")
         config = self.settings if self.scene is None else dataclasses.replace(self.settings, scene=self.scene)
         scene_file(config.scene)
         return config
@@ -93,9 +94,9 @@ class WithPriorMap(Common):
         from sixthsense.record.load import prior_start
 
         if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
-            found = f"--config: {self.config} is of a run with the prior map {note.get('name')}"
-            raise ConfigError(f"{found}, allowed: with --prior-map")
-        return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost, "--")
+            found = f"{self.config} is of a run with the prior map {note.get('name')}"
+            raise InputError("config", found, "with `prior_map`")
+        return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost)
 
 
 def parse_command(
@@ -105,7 +106,7 @@ def parse_command(
 
     `base` is a function of the positional value that returns the default preset or a complete configuration; without
     one it is the command's preset. Precedence is defaults < preset < configuration file < flags; a file that names a
-    preset is read over that. Raises UsageError for two presets, and ConfigError that names the flag, or the file and
+    preset is read over that. Raises InputError for two presets, and InputError that names the flag, or the file and
     its field.
     """
     given, table = parse(args, command)
@@ -114,11 +115,11 @@ def parse_command(
     if "config" in given:
         named = read_table(given["config"]).get("preset")
         if named is not None and table.get("preset", named) != named:
-            found = f"--preset: found {shown(table['preset'])} with {given['config']}, which names {shown(named)}"
-            raise UsageError(f"{found}, allowed: one of the two")
+            found = f"found {shown(table['preset'])} with {given['config']}, which names {shown(named)}"
+            raise InputError("preset", found, "one of the two")
         settings = load_config(given["config"], settings if named is None else None)
     flags = {name: value for name, value in table.items() if name != "preset"}
-    return command(**given, settings=merge(settings, flags, "--")), table
+    return command(**given, settings=merge(settings, flags)), table
 
 
 def run_folder(
@@ -156,7 +157,7 @@ def numbered(stem: str) -> Iterator[Path]:
 def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
     """The hooks of `--view`, none without the option; a browser view stays open after the run until Ctrl-C."""
     if options.bind is not None and options.view != "browser":
-        raise UsageError("--bind: found without --view browser, allowed: with it")
+        raise InputError("bind", "found without `view` browser", "with it")
     if options.view is None:
         yield ()
         return
@@ -175,7 +176,7 @@ def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
 
 def announce(line: str) -> None:
     """Print a status line, such as that the first run compiles, to stderr."""
-    print(line, file=sys.stderr)
+    print(as_options(line), file=sys.stderr)
 
 
 def show_end(run: Run, verbose: bool = False) -> int:

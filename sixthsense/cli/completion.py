@@ -9,9 +9,9 @@ from typing import Annotated
 
 from sixthsense.cli import COMMANDS, DONE
 from sixthsense.cli.help import Option, command_class, config_options, own_options
-from sixthsense.cli.options import Options, UsageError, parse, positional
+from sixthsense.cli.options import Options, parse, positional
 from sixthsense.config import PRESETS, Config
-from sixthsense.config.errors import allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.sources.scene_files import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")
@@ -31,7 +31,7 @@ def command(args: list[str]) -> int:
     shell = Completion(**parse(args, Completion)[0]).shell
     if shell not in SHELLS:
         found = repr(shell) if shell else "nothing"
-        raise UsageError(f"shell: found {found}, {allowed_names(SHELLS, nearest(shell, SHELLS))}")
+        raise InputError("shell", f"found {found}", ", ".join(SHELLS), nearest(shell, SHELLS))
     import shtab
 
     print(shtab.complete(parser(), shell))

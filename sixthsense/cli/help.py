@@ -13,9 +13,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from sixthsense.cli.options import Options, Shown, UsageError, notes_of, option_types, unwrapped
+from sixthsense.cli.options import Options, Shown, notes_of, option_types, unwrapped
 from sixthsense.config import Section, preset
-from sixthsense.config.errors import allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.names import Names
 from sixthsense.config.section import Range, field_texts, shown
 
@@ -76,7 +76,7 @@ def command_class(name: str) -> type[Options]:
 
 
 def help_text(name: str, topic: str = "") -> str:
-    """The help of a command on a topic, at most 80 columns wide; UsageError for an unknown topic."""
+    """The help of a command on a topic, at most 80 columns wide; InputError for an unknown topic."""
     command = command_class(name)
     own = sorted(own_options(command), key=lambda option: not option.is_positional)
     words = [f"usage: sixthsense {name}", *(option.usage for option in own if option.is_positional)]
@@ -91,7 +91,7 @@ def help_text(name: str, topic: str = "") -> str:
         for path, section, value in _sections(preset(command.base))
         if path.split(".")[0] not in command.refused
     }
-    taken = {*command.refused, *(option.name for option in own)}
+    taken = {*(name.replace("_", "-") for name in command.refused), *(option.name for option in own)}
     top = [option for option in sections[""][1] if option.name not in taken]
     within = {path: found for path, found in sections.items() if path}
     if topic == "":
@@ -109,7 +109,7 @@ def help_text(name: str, topic: str = "") -> str:
     if not found_options:
         names = [path for path in within if "." not in path]
         near = nearest(wanted, [*names, EVERYTHING, *(option.name for option in known)])
-        raise UsageError(f"--help: found {shown(topic)}, {allowed_names([*names, EVERYTHING], near, ', or an option')}")
+        raise InputError("help", f"found {shown(topic)}", ", ".join([*names, EVERYTHING]) + ", or an option", near)
     return "\n".join(_rows(found_options))
 
 

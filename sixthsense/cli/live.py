@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from sixthsense.cli.common import WithPriorMap, announce, live_view, parse_command, run_folder, show_end
-from sixthsense.cli.options import Options, UsageError, arg
+from sixthsense.cli.options import Options, arg
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment, is_configured_by_user
@@ -30,7 +30,7 @@ class OnNetwork(Options):
         if is_configured := is_configured_by_user():
             for option, value in stated.items():
                 if value is not None:
-                    raise UsageError(f"{option}: found with CYCLONEDDS_URI, allowed: one of the two")
+                    raise InputError(option, "found with CYCLONEDDS_URI", "one of the two")
             announce("the network is joined as CYCLONEDDS_URI says")
         interfaces, peers = (tuple(value.split(",")) if value else () for value in stated.values())
         network = Network(domain, interfaces or (LOOPBACK,), peers, is_configured)
@@ -43,7 +43,7 @@ class Live(OnNetwork, WithPriorMap):
     """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
 
     base: ClassVar[str] = "log"
-    refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map-unknown", "map_unknown", "world", "lost")
+    refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map_unknown", "world", "lost")
 
     scan: Annotated[str, arg("TOPIC")] = "/scan"
     """Topic of the laser. Messages sensor_msgs/LaserScan."""
@@ -65,7 +65,7 @@ def command(args: list[str]) -> int:
     options, flags = parse_command(Live, args, lambda _: _base(drives))
     for name in Live.refused:
         if name in flags or (name == "lost" and options.lost):
-            raise UsageError(f"--{name.replace('_', '-')}: found on a robot, allowed: with run")
+            raise InputError(name, "found on a robot", "with run")
     network = options.network()
     from sixthsense.api import with_task
     from sixthsense.live.session import Session, Topics, check_drive
@@ -75,20 +75,20 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
 
     if options.cmd_vel_stamped and not options.drive:
-        raise UsageError("--cmd-vel-stamped: found without --drive, allowed: with it")
+        raise InputError("cmd_vel_stamped", "found without `drive`", "with it")
     frames = frame_pair(options.odometry_frames.split(",") if options.odometry_frames else ())
     topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
-    config = with_task(options.settings, flags, "--")
+    config = with_task(options.settings, flags)
     if options.drive:
         if config.no_odometry:
-            raise UsageError("--no-odometry: found with --drive, allowed: without it")
+            raise InputError("no_odometry", "found with `drive`", "without it")
         check_drive(config)
     if config.no_odometry:
         announce(WITHOUT_ODOMETRY)
-    stated = tuple(name.replace("-", "_") for name in flags.get("laser", {}))
+    stated = tuple(flags.get("laser", {}))
     for name in stated:
         if name not in ("mount", "max_range"):
-            raise InputError(f"--laser.{name}: found on a robot, which describes its laser, allowed: --laser.mount")
+            raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
     prior = options.prior_start()
     prepare(announce, config, of_log=not options.drive)
     with Session(network, topics, config, announce) as session:

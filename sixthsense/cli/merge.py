@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from sixthsense.cli.common import Common, announce, live_view, parse_command, run_folder, show_end
-from sixthsense.cli.options import UsageError, arg, positional
-from sixthsense.config import Config, ConfigError
+from sixthsense.cli.options import arg, positional
+from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import OF_THE_ROBOT
 
 
@@ -34,7 +35,7 @@ def command(args: list[str]) -> int:
 
     options, flags = parse_command(Merge, args, _base)
     first, second = options.runs
-    check_options(first, flags, Chosen(), "--")
+    check_options(first, flags, Chosen())
     for run in options.runs:
         check_out(run, options.out)
     from sixthsense.running.merging import open_merged, replay_merged
@@ -49,14 +50,14 @@ def command(args: list[str]) -> int:
 
 
 def _base(runs: tuple[str, ...] | None) -> str | Config:
-    """The configuration of the first run; UsageError for other than two, ConfigError for what is no folder of a run."""
+    """The configuration of the first run; InputError for other than two, InputError for what is no folder of a run."""
     from sixthsense.sources.logs import is_run_folder
     from sixthsense.sources.replay_input import base_of
 
     if runs is None or len(runs) != 2:
-        raise UsageError(f"runs: found {' '.join(runs or ()) or 'nothing'}, allowed: the folders of two runs")
+        raise InputError("runs", f"found {' '.join(runs or ()) or 'nothing'}", "the folders of two runs")
     for run in runs:
         if not is_run_folder(Path(run)):
             found = "no config.toml in it" if Path(run).is_dir() else "no such folder"
-            raise ConfigError(f"{run}: found {found}, allowed: the folder of a run")
+            raise InputError(run, f"found {found}", "the folder of a run")
     return base_of(runs[0])

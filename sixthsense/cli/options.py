@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Annotated, Any, ClassVar, TypeVar, Union
 
 from sixthsense.config import Config, Section
-from sixthsense.config.errors import InputError, allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.section import checked, is_one_line, shown, shown_name
 
 T = TypeVar("T")
@@ -56,10 +56,6 @@ class OptionalValue:
     """whether the next argument is the option's value"""
     allowed: str
     """allowed values, for messages"""
-
-
-class UsageError(InputError):
-    """An invalid command line, in one line."""
 
 
 @dataclass(frozen=True)
@@ -107,14 +103,14 @@ def notes_of(hint: Any, kind: type[T]) -> list[T]:
 def parse(args: Sequence[str], command: type[Options]) -> tuple[Table, Table]:
     """Parse a command's arguments into its own options, checked, and the nested table of the Config fields.
 
-    Raises UsageError with the allowed values for an unknown option, a flag without a value and a positional argument
-    too many; ConfigError for a value of an own option that is not allowed.
+    Raises InputError with the allowed values for an unknown option, a flag without a value and a positional argument
+    too many; InputError for a value of an own option that is not allowed.
     """
     own, positional = option_types(command), positional_of(command)
     rest = own.pop(positional, None)
     takes_many = typing.get_origin(unwrapped(rest)[0]) is tuple
     hints = dict(config_flags(Config)) if command.takes_fields else {}
-    hints |= {f"--{name.replace('_', '-')}": hint for name, hint in own.items()}
+    hints |= {flag_of(name): hint for name, hint in own.items()}
     given: Table = {}
     table: Table = {}
     without_value: tuple[str, OptionalValue] | None = None  # the previous argument, if an option that took no value
@@ -123,25 +119,24 @@ def parse(args: Sequence[str], command: type[Options]) -> tuple[Table, Table]:
         word = stack.pop()
         if not word.startswith("-"):
             if not positional:
-                raise UsageError(f"arguments: found {shown(word)}, allowed: options alone")
+                raise InputError("arguments", f"found {shown(word)}", "options alone")
             if takes_many:
                 given[positional] = (*given.get(positional, ()), _checked_name(positional, word))
                 continue
             if positional in given:
                 if without_value is not None:
-                    raise UsageError(f"{without_value[0]}: found {shown(word)}, allowed: {without_value[1].allowed}")
-                raise UsageError(f"{positional}: found {shown(given[positional])} and {shown(word)}, allowed: one")
+                    raise InputError(without_value[0], f"found {shown(word)}", f"{without_value[1].allowed}")
+                raise InputError(positional, f"found {shown(given[positional])} and {shown(word)}", "one")
             given[positional] = _checked_name(positional, word)
             continue
         flag, value = _option(word, stack, hints)
         may_lack = notes_of(hints[flag], OptionalValue)
         without_value = (flag, may_lack[0]) if may_lack and word == flag else None
-        *sections, name = flag.removeprefix("--").split(".")
-        key = name.replace("-", "_")
-        if not sections and key in own:
-            if key in given and isinstance(value, list):
-                raise UsageError(f"{flag}: found twice, allowed: once, with all its values")
-            given[key] = value
+        *sections, name = flag.removeprefix("--").replace("-", "_").split(".")
+        if not sections and name in own:
+            if name in given and isinstance(value, list):
+                raise InputError(flag, "found twice", "once, with all its values")
+            given[name] = value
             continue
         target = table
         for section in sections:
@@ -149,8 +144,28 @@ def parse(args: Sequence[str], command: type[Options]) -> tuple[Table, Table]:
         target[name] = value
     for name, hint in own.items():
         if name in given:
-            given[name] = checked(f"--{name.replace('_', '-')}", hint, given[name])
+            given[name] = checked(name, hint, given[name])
     return given, table
+
+
+def as_options(text: str) -> str:
+    """A line for the terminal: names of fields and arguments, which are in backquotes, as options."""
+    return re.sub(r"`([a-z_.]+)`", lambda found: flag_of(found[1]), text)
+
+
+def flag_of(name: str) -> str:
+    """The option that sets a field, by its dotted name."""
+    return f"--{name.replace('_', '-')}"
+
+
+def with_options(error: InputError, command: type[Options]) -> str:
+    """What an error says, with the option in place of the field where that is one of the command's."""
+    flags = {flag_of(name) for name in option_types(command) if name != positional_of(command)}
+    if command.takes_fields:
+        flags |= {flag for flag, _ in config_flags(Config)} - {flag_of(positional_of(command))}
+    name, *rest = re.split(r"(?=[, ])", error.where, maxsplit=1)
+    where = "".join([flag_of(name), *rest]) if flag_of(name) in flags else error.where
+    return as_options(str(error.at(where)))
 
 
 def config_flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
@@ -164,15 +179,16 @@ def config_flags(section: type[Section], path: str = "--") -> Iterator[tuple[str
 
 
 def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str, Any]:
-    """The flag and its value, taken from `word` or from `stack`; UsageError for a flag not in `hints`."""
+    """The flag and its value, taken from `word` or from `stack`; InputError for a flag not in `hints`."""
     flag, equals, text = word.partition("=")
     flag = flag.replace("_", "-")
     if flag not in hints:
         positive = re.sub(r"^(--|.*[.])no-", r"\1", flag)
         if hints.get(positive) is bool and not equals:
             return positive, False
-        allowed = allowed_names(_suggestions(flag, hints), _nearest(flag, hints))
-        raise UsageError(f"{shown_name(flag)}: no such option, {allowed}")
+        raise InputError(
+            shown_name(flag), "no such option", ", ".join(_suggestions(flag, hints)), _nearest(flag, hints)
+        )
     hint, optional = unwrapped(hints[flag])
     for may_lack in notes_of(hints[flag], OptionalValue):
         found = text if equals else stack.pop() if stack and may_lack.is_value(stack[-1]) else may_lack.default
@@ -181,7 +197,7 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
         if not equals:
             text = stack.pop() if stack and stack[-1].lower() in _BOOLEANS else "true"
         if text.lower() not in _BOOLEANS:
-            raise UsageError(f"{flag}: found {shown(text)}, allowed: true or false")
+            raise InputError(flag, f"found {shown(text)}", "true or false")
         return flag, _BOOLEANS[text.lower()]
     is_tuple = typing.get_origin(hint) is tuple
     kinds = typing.get_args(hint) if is_tuple else (hint,)
@@ -194,20 +210,20 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
     if is_list:
         return flag, _list(flag, kinds[0], texts)
     if not texts:
-        raise UsageError(f"{flag}: found nothing, allowed: {len(kinds)} value{'s' * is_tuple}")
+        raise InputError(flag, "found nothing", f"{len(kinds)} value{'s' * is_tuple}")
     values = [_convert(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
     return flag, values if is_tuple else values[0]
 
 
 def _list(flag: str, kind: Any, texts: list[str]) -> list[Any]:
-    """The texts as values of `kind`, or in rows of them where it is a tuple; UsageError for none, and for a cut row."""
+    """The texts as values of `kind`, or in rows of them where it is a tuple; InputError for none, and for a cut row."""
     if typing.get_origin(kind) is not tuple:
         if not texts:
-            raise UsageError(f"{flag}: found nothing, allowed: one or more values")
+            raise InputError(flag, "found nothing", "one or more values")
         return [_convert(flag, unwrapped(kind)[0], text) for text in texts]
     kinds = typing.get_args(kind)
     if not texts or len(texts) % len(kinds):
-        raise UsageError(f"{flag}: found {len(texts) or 'no'} values, allowed: {len(kinds)} of each entry")
+        raise InputError(flag, f"found {len(texts) or 'no'} values", f"{len(kinds)} of each entry")
     rows = [texts[k : k + len(kinds)] for k in range(0, len(texts), len(kinds))]
     return [[_convert(flag, kind, text) for kind, text in zip(kinds, row, strict=True)] for row in rows]
 
@@ -244,7 +260,7 @@ def _convert(flag: str, kind: Any, text: str) -> Any:
 
 
 def _checked_name(where: str, text: str) -> str:
-    """The name of a file or scene; UsageError if it could not be printed or written into the configuration."""
+    """The name of a file or scene; InputError if it could not be printed or written into the configuration."""
     if not is_one_line(text):
-        raise UsageError(f"{where}: found {shown(text)}, allowed: a name without line breaks or control characters")
+        raise InputError(where, f"found {shown(text)}", "a name without line breaks or control characters")
     return text

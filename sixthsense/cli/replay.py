@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from sixthsense.cli.common import WithPriorMap, announce, live_view, parse_command, run_folder, show_end
-from sixthsense.cli.options import UsageError, arg, positional
+from sixthsense.cli.options import arg, positional
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
 from sixthsense.config.names import OF_THE_ROBOT
 
@@ -27,7 +28,7 @@ class Replay(WithPriorMap):
     """The log."""
     relations: Annotated[Path | None, arg("FILE")] = None
     """Hand-checked relations between poses, to measure errors. They are those of Kuemmerle et al. 2009."""
-    topic: Annotated[str | None, arg("NAME[,NAME]")] = None
+    topics: Annotated[str | None, arg("NAME[,NAME]")] = None
     """Topics to use from a bag with several topics of scans or odometry."""
     odometry_frames: Annotated[str | None, arg("P,C")] = None
     """Frames of odometry in /tf, such as odom,base_link. Without a topic of odometry they are found."""
@@ -42,19 +43,17 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, args, base_of)
-    given = options.topic, options.odometry_frames, options.units
+    given = options.topics, options.odometry_frames, options.units
     topics, frames, units = (tuple(words.split(",")) if words else () for words in given)
     chosen = Chosen(topics, options.robot, frames, units)
-    check_options(options.log, flags, chosen, "--")
+    check_options(options.log, flags, chosen)
     if options.log is None:
-        raise UsageError(
-            "log: found nothing, allowed: a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
-        )
+        raise InputError("log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder")
     check_out(options.log, options.out)
     from sixthsense.running.runs import Watch, replay_log
 
     prior = options.prior_start()
-    stated = {name.replace("-", "_") for name in (*flags.get("laser", {}), *_laser_of(options.config))}
+    stated = {*flags.get("laser", {}), *_laser_of(options.config)}
     found = open_recorded(options.log, options.settings, options.relations, chosen, stated)
     for note in found.notes:
         announce(f"note: {found.name}: {note}")

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from sixthsense.cli import DONE
 from sixthsense.cli.common import announce, numbered
-from sixthsense.cli.options import OptionalValue, Options, UsageError, arg, parse, positional
+from sixthsense.cli.options import OptionalValue, Options, arg, parse, positional
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ def command(args: list[str]) -> int:
     options = Report(**given)
     folders, out = options.run, options.out
     if not folders:
-        raise UsageError("run: found nothing, allowed: folders of runs, or of a campaign")
+        raise InputError("run", "found nothing", "folders of runs, or of a campaign")
     if out is not None and out.exists() and not options.overwrite:
-        raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
+        raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
     from sixthsense.evaluation.measured_run import check_folders
     from sixthsense.figures.animation import check_film
     from sixthsense.figures.report import Form, compact, report
@@ -69,7 +70,7 @@ def command(args: list[str]) -> int:
     if "animate" in given:
         check_film(_FILM if options.animate is None else options.animate)
         if len(folders) > 1:
-            raise UsageError(f"--animate: found {len(folders)} runs, allowed: one run")
+            raise InputError("animate", f"found {len(folders)} runs", "one run")
     check_folders(folders, "the folder of a run or of a campaign")
     runs = [load(folder) for folder in folders]
     if out is None:
@@ -91,9 +92,9 @@ def _report_campaign(options: Report, is_animated: bool, form: Form) -> int:
     """Draw the figures of one campaign."""
     folder, *others = options.run
     if others:
-        raise UsageError(f"run: found a campaign among {1 + len(others)} folders, allowed: one campaign alone, or runs")
+        raise InputError("run", f"found a campaign among {1 + len(others)} folders", "one campaign alone, or runs")
     if is_animated:
-        raise UsageError("--animate: found with a campaign, allowed: with one run")
+        raise InputError("animate", "found with a campaign", "with one run")
     from sixthsense.campaigns import load_campaign
     from sixthsense.campaigns.report import report_campaign
     from sixthsense.evaluation.tables import text_table

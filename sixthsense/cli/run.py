@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sixthsense.cli.common import OfScene, WithPriorMap, announce, live_view, parse_command, run_folder, show_end
-from sixthsense.cli.options import UsageError
 from sixthsense.config import is_of_replay
+from sixthsense.config.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -21,14 +21,14 @@ def command(args: list[str]) -> int:
     """Simulate a scene."""
     options, flags = parse_command(Run, args)
     if options.config is not None and is_of_replay(options.config):
-        raise UsageError(f"--config: {options.config} is of a replay, allowed: sixthsense replay LOG --config FILE")
+        raise InputError("config", f"{options.config} is of a replay", "sixthsense replay LOG `config` FILE")
     config = options.settings_of_scene(flags)
     from sixthsense.api import with_task
     from sixthsense.running.runs import Watch, simulate
     from sixthsense.sources.mission import mission_of
 
     prior = options.prior_start()
-    config, task = mission_of(with_task(config, flags, "--"))
+    config, task = mission_of(with_task(config, flags))
     for note in task.scene.notes:
         announce(f"note: {task.scene.name}: {note}")
     with (

@@ -47,7 +47,7 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.mission import mission_of
 
     drives_itself = bool({"task", "goal", "tour"} & set(flags))
-    config, task = mission_of(with_task(config, flags, "--"))
+    config, task = mission_of(with_task(config, flags))
     disturbance = Disturbance(options.late, options.lost, options.twice)
     commands = TWIST_STAMPED if options.cmd_vel_stamped else TWIST
     with SimulatedRobot(network, config, disturbance, None if drives_itself else commands) as robot:

@@ -1,6 +1,7 @@
 """The configuration: a tree of frozen, validated sections, its presets, and its files."""
 
 from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import is_of_replay, load_config, prior_map_of, save_config
 from sixthsense.config.pipeline import (
     AssociationConfig,
@@ -24,7 +25,7 @@ from sixthsense.config.platform import (
     WorldConfig,
 )
 from sixthsense.config.presets import PRESETS, preset
-from sixthsense.config.section import ConfigError, Distribution, Range, Section, as_table, merge
+from sixthsense.config.section import Distribution, Range, Section, as_table, merge
 from sixthsense.config.tree import Config
 
 __all__ = [
@@ -32,13 +33,13 @@ __all__ = [
     "AssociationConfig",
     "AssumedConfig",
     "Config",
-    "ConfigError",
     "Distribution",
     "ExploreConfig",
     "FeaturesConfig",
     "FollowConfig",
     "GridConfig",
     "ISAM2Config",
+    "InputError",
     "KeyframeConfig",
     "LaserConfig",
     "LaserNoise",

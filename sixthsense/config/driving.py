@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from sixthsense.config.section import ConfigError, NonNegative, Positive, PositiveCount, Range, Section
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import NonNegative, Positive, PositiveCount, Range, Section
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class FollowConfig(Section):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.distance_slack_m > self.goal_slack_m:
-            found = f"distance_slack_m: found {self.distance_slack_m:g}"
-            raise ConfigError(f"{found}, allowed: at most goal_slack_m, {self.goal_slack_m:g}")
+            found = f"found {self.distance_slack_m:g}"
+            raise InputError("distance_slack_m", found, f"at most goal_slack_m, {self.goal_slack_m:g}")
 
 
 @dataclass(frozen=True)

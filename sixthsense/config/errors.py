@@ -9,7 +9,29 @@ _LONGEST = 80  # a longer text is no misspelt name, and comparing it takes time
 
 
 class InputError(ValueError):
-    """Wrong input of a user: one line with the file, line or field, what was found and what is allowed."""
+    """Wrong input of a user, in one line: where it is, what was found there, and what is allowed."""
+
+    def __init__(self, where: object, found: str, allowed: str = "", near: str = "") -> None:
+        """Say what was `found`, a phrase, and what is `allowed` in its place; `near` is what may have been meant.
+
+        `where` is the field, the argument, or the file with its line or field. Names of other fields and arguments are
+        in backquotes, so that the command line can write them as its options.
+        """
+        super().__init__(str(where), found, allowed, near)
+        self.where, self.found, self.allowed, self.near = str(where), found, allowed, near
+
+    def __str__(self) -> str:
+        meant = f", did you mean {self.near}?" if self.near else ""
+        allowed = f"{'' if meant else ','} allowed: {self.allowed}" if self.allowed else ""
+        return f"{self.where}{': ' * bool(self.where)}{self.found}{meant}{allowed}"
+
+    def at(self, where: object) -> "InputError":
+        """The same error at another place."""
+        return InputError(where, self.found, self.allowed, self.near)
+
+    def within(self, where: object) -> "InputError":
+        """The same error in the file, the section or the argument that `where` names."""
+        return self.at(f"{where}: {self.where}" if self.where else where)
 
 
 def reason_of(error: BaseException, longest: int = 160) -> str:
@@ -27,31 +49,20 @@ def nearest(found: object, known: Iterable[str]) -> str:
     return names[near[0]] if near else ""
 
 
-def allowed_names(names: Iterable[str], near: str = "", otherwise: str = "") -> str:
-    """The end of an error message, the nearest name first: "did you mean NAME? allowed: NAME, NAME".
-
-    `near` is the nearest name, "" for none; `otherwise` follows the list.
-    """
-    return f"{f'did you mean {near}? ' if near else ''}allowed: {', '.join(names)}{otherwise}"
-
-
 def did_you_mean(found: object, known: Iterable[str]) -> str:
     """The end of an error message without a list of names: "; did you mean NAME?", "" if no name is near."""
     near = nearest(found, known)
     return f"; did you mean {near}?" if near else ""
 
 
-class ExtraError(InputError):
-    """One line that names the package and how to install it."""
-
-
-def import_extra(module: str, extra: str, error: type[InputError] = ExtraError) -> Any:
-    """A module that an extra installs; `error`, in one line that says how to install it, if it is missing."""
+def import_extra(module: str, extra: str) -> Any:
+    """A module that an extra installs; InputError, which says how to install it, if it is missing."""
     try:
         return import_module(module)
-    except ImportError as cause:
-        allowed = f"allowed: after pip install 'sixthsense[{extra}]'"
-        raise error(f"{module}: cannot be imported ({cause}), {allowed}") from None
+    except ImportError as error:
+        raise InputError(
+            module, f"cannot be imported ({error}), install it with pip install 'sixthsense[{extra}]'"
+        ) from None
 
 
 def pandas() -> Any:

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.presets import preset
-from sixthsense.config.section import ConfigError, as_table, merge
+from sixthsense.config.section import as_table, merge
 from sixthsense.config.tree import Config
 from sixthsense.config.version import __version__
 
@@ -24,7 +25,7 @@ NOTES = ("versions", "replayed", "prior_map")
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
     """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
 
-    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
+    Raises InputError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
     """
     path = Path(file)
     table = read_table(path)
@@ -32,29 +33,29 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
         table.pop(note, None)
     try:
         return merge(base or preset(table.get("preset", otherwise)), table)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+    except InputError as error:
+        raise error.within(path) from None
 
 
 def read_table(file: str | Path) -> dict[str, Any]:
-    """The nested table of a TOML file; ConfigError for a file that cannot be read, or is not TOML."""
+    """The nested table of a TOML file; InputError for a file that cannot be read, or is not TOML."""
     path = Path(file)
     try:
         if path.is_fifo():  # reading may block for ever
-            raise ConfigError(f"{path}: is a pipe, allowed: a TOML file")
+            raise InputError(path, "is a pipe", "a TOML file")
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_MAX_LENGTH + 1)
         if len(text) > _MAX_LENGTH:
-            raise ConfigError(f"{path}: found over {_MAX_LENGTH} characters, allowed: a configuration")
+            raise InputError(path, f"found over {_MAX_LENGTH} characters", "a configuration")
         return parse_toml(text)
-    except ConfigError:
+    except InputError:
         raise
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+        raise InputError(path, f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not UTF-8 text, allowed: a TOML file") from None
+        raise InputError(path, "is not UTF-8 text", "a TOML file") from None
     except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        raise InputError(path, str(error)) from None
 
 
 def save_config(

@@ -40,7 +40,7 @@ PLANNERS = Names("astar", "rrtstar")
 
 FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
 """shipped estimators that do not keep the poses of all keyframes"""
-KEEP_POSES = "allowed: with isam2, which keeps the poses of all keyframes"
+KEEP_POSES = "with isam2, which keeps the poses of all keyframes"
 """of messages about the front end of scans"""
 NEEDS_FILTER = "a shipped estimator, or one with the methods of Filter"
 """of messages about parameters that are estimated with the pose"""

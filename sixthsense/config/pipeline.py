@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from sixthsense.config.section import ConfigError, Count, NonNegative, Positive, PositiveCount, Range, Section
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import Count, NonNegative, Positive, PositiveCount, Range, Section
 
 
 @dataclass(frozen=True)
@@ -180,4 +181,4 @@ class GridConfig(Section):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.min_hits > self.max_hits:
-            raise ConfigError(f"min_hits: found {self.min_hits}, allowed: at most max_hits, {self.max_hits}")
+            raise InputError("min_hits", f"found {self.min_hits}", f"at most max_hits, {self.max_hits}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, Unpack
 
-from sixthsense.config.errors import allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.fields import Fields
-from sixthsense.config.section import ConfigError, merge, shown
+from sixthsense.config.section import merge, shown
 from sixthsense.config.tree import Config
 
 _REPORT_MOTION = {
@@ -102,8 +102,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 def preset(name: str = "default", **changes: Unpack[Fields]) -> Config:
     """The named preset's Config, with the fields in `changes` (nested tables for sections) replaced.
 
-    Raises ConfigError that lists the known names for any other, or names the field with a wrong value.
+    Raises InputError that lists the known names for any other, or names the field with a wrong value.
     """
     if name not in tuple(PRESETS):  # a file may hold a list there, which is not hashable
-        raise ConfigError(f"preset: found {shown(name)}, {allowed_names(PRESETS, nearest(name, PRESETS))}")
+        raise InputError("preset", f"found {shown(name)}", ", ".join(PRESETS), nearest(name, PRESETS))
     return merge(merge(Config(preset=name), PRESETS[name]), changes)

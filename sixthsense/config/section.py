@@ -17,17 +17,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
-from sixthsense.config.errors import InputError, allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.names import Names
 
 C = TypeVar("C", bound="Section")
 
 _LARGEST = sys.float_info.max
 _LARGEST_WHOLE = (1 << 63) - 1  # TOML's integers have 64 bits
-
-
-class ConfigError(InputError):
-    """One line that names the field, what was found and what is allowed."""
 
 
 class _Short(reprlib.Repr):
@@ -79,12 +75,11 @@ class Range:
             return f"{'above ' if self.open_low else ''}{self.low:g} to {self.high:g}"
         return f"above {self.low:g}" if self.open_low else f"at least {self.low:g}"
 
-    def allowed(self, value: float) -> str:
-        """The end of the message about a number outside: the interval, after the radians of a number in degrees."""
+    def near(self, value: float) -> str:
+        """What a number outside may mean: the radians of one in degrees; "" if they are not allowed either."""
         radians = math.radians(value)
         degrees = f"{value:g} {self.unit.replace('rad', 'degrees', 1)}"
-        meant = f"did you mean {radians:.4g} {self.unit} ({degrees})? " if self.unit and radians in self else ""
-        return f"{meant}allowed: {self} {self.unit}".rstrip()
+        return f"{radians:.4g} {self.unit} ({degrees})" if self.unit and radians in self else ""
 
 
 Positive = Annotated[float, Range(0.0, open_low=True)]
@@ -118,23 +113,23 @@ _known_hints: dict[type, dict[str, Any]] = {}  # reading them takes most of a se
 
 
 def checked(name: str, hint: Any, value: Any) -> Any:
-    """`value` coerced to the annotated type `hint`; ConfigError naming the field otherwise."""
+    """`value` coerced to the annotated type `hint`; InputError naming the field otherwise."""
     origin = typing.get_origin(hint)
     if origin is Annotated:
         base, *notes = typing.get_args(hint)
         for names in (note for note in notes if isinstance(note, Names)):
             if value not in names:
-                raise ConfigError(f"{name}: found {shown(value)}, {allowed_names(names, nearest(value, names))}")
+                raise InputError(name, f"found {shown(value)}", ", ".join(names), nearest(value, names))
             return value
         value = checked(name, base, value)
         for bounds in (note for note in notes if isinstance(note, Range)):
             if value not in bounds:
-                raise ConfigError(f"{name}: found {shown(value)}, {bounds.allowed(value)}")
+                raise InputError(name, f"found {shown(value)}", f"{bounds} {bounds.unit}".rstrip(), bounds.near(value))
         return value
     if origin is Literal:
         choices = typing.get_args(hint)
         if value not in choices:
-            raise ConfigError(f"{name}: found {shown(value)}, {allowed_names(choices, nearest(value, choices))}")
+            raise InputError(name, f"found {shown(value)}", ", ".join(choices), nearest(value, choices))
         return value
     if origin in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(hint) if a is not type(None))
@@ -143,57 +138,54 @@ def checked(name: str, hint: Any, value: Any) -> Any:
         args = typing.get_args(hint)
         if args[-1] is Ellipsis:
             if not isinstance(value, (tuple, list)) or not value:
-                raise ConfigError(f"{name}: found {shown(value)}, allowed: a list")
+                raise InputError(name, f"found {shown(value)}", "a list")
             return tuple(checked(f"{name}, entry {k}", args[0], v) for k, v in enumerate(value, 1))
         if not isinstance(value, (tuple, list)) or len(value) != len(args):
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: {len(args)} numbers")
+            raise InputError(name, f"found {shown(value)}", f"{len(args)} numbers")
         return tuple(checked(name, a, v) for a, v in zip(args, value, strict=True))
     if hint is float:
         real = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not real or not abs(typing.cast(float, value)) <= _LARGEST:  # false for NaN
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: a finite number")
+            raise InputError(name, f"found {shown(value)}", "a finite number")
         return float(value)
     if hint is int:
         if isinstance(value, bool) or not isinstance(value, numbers.Integral):
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: a whole number")
+            raise InputError(name, f"found {shown(value)}", "a whole number")
         if abs(int(value)) > _LARGEST_WHOLE:
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: a whole number of 64 bits")
+            raise InputError(name, f"found {shown(value)}", "a whole number of 64 bits")
         return int(value)
     if not isinstance(value, hint):
         kind = {bool: "true or false", str: "a text"}.get(hint, f"a table of {hint.__name__}")
-        raise ConfigError(f"{name}: found {shown(value)}, allowed: {kind}")
+        raise InputError(name, f"found {shown(value)}", kind)
     if hint is str and not is_one_line(value):
-        raise ConfigError(f"{name}: found {shown(value)}, allowed: a text without line breaks or control characters")
+        raise InputError(name, f"found {shown(value)}", "a text without line breaks or control characters")
     return value
 
 
 def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     """`base` with the fields that `table` (nested, as a TOML file is) names replaced.
 
-    Raises ConfigError with the dotted name of a field that does not exist or whose value is not allowed.
+    Raises InputError with the dotted name of a field that does not exist or whose value is not allowed.
     """
     known = {f.name: f for f in dataclasses.fields(typing.cast(Any, base))}
     changes: dict[str, Any] = {}
-    for key, value in base.completed(table).items():
-        name = key.replace("-", "_")
+    for name, value in base.completed({key.replace("-", "_"): value for key, value in table.items()}).items():
         if name not in known:
-            raise ConfigError(f"{path}{shown_name(key)}: no such field, {allowed_names(known, nearest(name, known))}")
+            raise InputError(f"{path}{shown_name(name)}", "no such field", ", ".join(known), nearest(name, known))
         current = getattr(base, name)
         if isinstance(current, Section):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"{path}{key}: found {shown(value)}, allowed: a table")
-            changes[name] = merge(current, value, f"{path}{key}.")
+                raise InputError(f"{path}{name}", f"found {shown(value)}", "a table")
+            changes[name] = merge(current, value, f"{path}{name}.")
         else:
             try:
-                changes[name] = checked(key, _hints(type(base))[name], value)
-            except ConfigError as error:
-                raise ConfigError(f"{path}{error}") from None
+                changes[name] = checked(name, _hints(type(base))[name], value)
+            except InputError as error:
+                raise error.at(f"{path}{error.where}") from None
     try:
         return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
-    except ConfigError as error:  # fields that are inconsistent with each other
-        field, colon, rest = str(error).partition(":")
-        named = field.replace("_", "-") if path.startswith("--") else field
-        raise ConfigError(f"{path}{named}{colon}{rest}") from None
+    except InputError as error:  # fields that are inconsistent with each other
+        raise error.at(f"{path}{error.where}") from None
 
 
 def as_table(section: Section) -> dict[str, Any]:

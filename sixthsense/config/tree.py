@@ -1,4 +1,4 @@
-"""The configuration tree, structured like the pipeline; the docstring of a field is its text in `--help`."""
+"""The configuration tree, structured like the pipeline; the docstring of a field is its text in the help."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
@@ -17,7 +18,7 @@ from sixthsense.config.pipeline import (
     ScansConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
-from sixthsense.config.section import ConfigError, Count, Range, Section, shown
+from sixthsense.config.section import Count, Range, Section, shown
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,9 @@ class Config(Section):
         for name, other in (("goal", "tour"), ("tour", "goal")):
             if table.get(name) is not None and other not in table:
                 table[other] = None
-        if table.get("no_odometry", table.get("no-odometry")) is True:
+        if table.get("no_odometry") is True:
             table = {"front_end": "scan-matching", **table}
-        estimator, front_end = (
-            table.get(name, table.get(name.replace("_", "-"))) for name in ("estimator", "front_end")
-        )
+        estimator, front_end = table.get("estimator"), table.get("front_end")
         if estimator is not None and front_end is None and self.front_end == "scan-matching" and estimator != "isam2":
             return {**table, "front_end": "landmarks"}
         if front_end == "scan-matching" and estimator is None and self.estimator in FILTERS:
@@ -105,23 +104,23 @@ class Config(Section):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.goal is not None and self.tour is not None:
-            raise ConfigError("goal: found beside a tour, allowed: one of the two")
+            raise InputError("goal", "found beside a tour", "one of the two")
         if self.front_end == "scan-matching" and self.estimator in FILTERS:
-            raise ConfigError(f"front_end: found scan-matching with estimator {self.estimator}, {KEEP_POSES}")
+            raise InputError("front_end", f"found scan-matching with estimator {self.estimator}", KEEP_POSES)
         if self.no_odometry and (self.front_end != "scan-matching" or self.calibrate_wheels):
             found = "calibrate_wheels" if self.calibrate_wheels else f"front_end {self.front_end}"
-            raise ConfigError(f"no_odometry: found true with {found}, allowed: with front_end scan-matching alone")
+            raise InputError("no_odometry", f"found true with {found}", "with front_end scan-matching alone")
         between = self.laser.period_ticks * self.robot.control_period_s
         if self.laser.sweep_s > between * (1.0 + 1e-9):
-            raise ConfigError(
-                f"laser.sweep_s: found {self.laser.sweep_s:g}, allowed: at most {between:g}, the time between two scans"
+            raise InputError(
+                "laser.sweep_s", f"found {self.laser.sweep_s:g}", f"at most {between:g}, the time between two scans"
             )
 
 
-def task_of(given: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+def task_of(given: Mapping[str, Any]) -> dict[str, str]:
     """The task that a goal or a tour among the `given` fields sets, as a table; empty without one.
 
-    Raises ConfigError for a goal or a tour with another task; `prefix` precedes the fields' names in it.
+    Raises InputError for a goal or a tour with another task.
     """
     for task in ("goal", "tour"):
         if given.get(task) is None:
@@ -129,6 +128,6 @@ def task_of(given: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         named = given.get("task", task)
         if named != task:
             found = named if isinstance(named, str) else shown(named)
-            raise ConfigError(f"{prefix}{task}: found with {prefix}task {found}, allowed: with {prefix}task {task}")
+            raise InputError(task, f"found with `task` {found}", f"with `task` {task}")
         return {"task": task}
     return {}

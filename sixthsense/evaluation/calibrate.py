@@ -14,6 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import AssumedConfig, Config, as_table, merge
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.motion import rk4
@@ -22,7 +23,6 @@ from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.evaluation.noise import (
     FEWEST_SAMPLES,
     SIGNIFICANT,
-    CalibrationError,
     LandmarkErrors,
     PropagationErrors,
     Sample,
@@ -58,10 +58,10 @@ class Calibration:
 def calibrate(config: Config, samples: int = 100, on_sample: Callable[[], object] | None = None) -> Calibration:
     """Drive the robot of `config` in its scene and fit `assumed` to its noise; `on_sample` is called after each sample.
 
-    Raises SceneError for an invalid scene or start, CalibrationError for too few samples or landmarks.
+    Raises InputError for an invalid scene or start, InputError for too few samples or landmarks.
     """
     if samples < FEWEST_SAMPLES:
-        raise CalibrationError(f"samples: found {samples}, allowed: at least {FEWEST_SAMPLES}")
+        raise InputError("samples", f"found {samples}", f"at least {FEWEST_SAMPLES}")
     world_rng, drive_rng, ransac_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(3))
     seed = int(ransac_rng.integers(2**31))
     walls, driven = drive_samples(config, samples, world_rng, drive_rng, on_sample)
@@ -117,7 +117,7 @@ def drive_samples(
                 on_sample()
         if len(out) == samples:
             return scene.walls, out
-    raise CalibrationError(f"start: the robot touched a wall {_STARTS} times, allowed: a start with room around it")
+    raise InputError("start", f"the robot touched a wall {_STARTS} times", "a start with room around it")
 
 
 def _command(pose: Pose, walls: Array, radius_m: float, config: Config, rng: np.random.Generator) -> Command:
@@ -180,9 +180,9 @@ def summary(found: Calibration) -> list[str]:
 
 
 def check_output(file: Path, overwrite: bool) -> None:
-    """Raise CalibrationError if `file` or its figure, a PNG of the same name, exists or is not allowed as an output."""
+    """Raise InputError if `file` or its figure, a PNG of the same name, exists or is not allowed as an output."""
     if file.name in ("", "..") or file.suffix == ".png" or file.is_dir():
-        raise CalibrationError(f"--out: found {str(file)!r}, allowed: the name of a file, such as noise.toml")
+        raise InputError("out", f"found {str(file)!r}", "the name of a file, such as noise.toml")
     for one in (file, file.with_suffix(".png")):
         if one.exists() and not overwrite:
-            raise CalibrationError(f"--out: {one} exists, allowed: a new file, or --overwrite")
+            raise InputError("out", f"{one} exists", "a new file, or `overwrite`")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config, as_table
-from sixthsense.config.errors import InputError, allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Curves, Over
@@ -28,10 +28,6 @@ MOST_GROUPS = 12
 _POINTS = 200  # of a curve of several runs
 _PLAIN = ("scene", "estimator", "front_end", "preset", "planner", "task")  # whose value says which field it is
 _MOST_NAMED = 4
-
-
-class GroupError(InputError):
-    """Runs that cannot be grouped as asked, in one line."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ class Group:
 def grouped(samples: Sequence[Sample], by: str | Sequence[str]) -> list[Group]:
     """The runs by their values of one or several fields, in the order of their first runs.
 
-    Raises GroupError for a field that no run has, with the nearest name, and for more than 12 groups.
+    Raises InputError for a field that no run has, with the nearest name, and for more than 12 groups.
     """
     names = tuple(by) if isinstance(by, (list, tuple)) else (by,)
     tables = [sample.fields for sample in samples]
@@ -100,12 +96,12 @@ def grouped(samples: Sequence[Sample], by: str | Sequence[str]) -> list[Group]:
     for name in names or ("",):
         if name not in known:
             others = ", or another field of the configuration"
-            raise GroupError(f"by: found {shown(name)}, {allowed_names((RUN, *LABELS), nearest(name, known), others)}")
+            raise InputError("by", f"found {shown(name)}", ", ".join((RUN, *LABELS)) + others, nearest(name, known))
     members: dict[str, list[Sample]] = {}
     for sample, table in zip(samples, tables, strict=True):
         members.setdefault(" · ".join(labelled(name, table.get(name)) for name in names), []).append(sample)
     if len(members) > MOST_GROUPS:
-        raise GroupError(f"by: found {len(members)} groups by {', '.join(names)}, allowed: at most {MOST_GROUPS}")
+        raise InputError("by", f"found {len(members)} groups by {', '.join(names)}", f"at most {MOST_GROUPS}")
     return [Group(name, tuple(found)) for name, found in members.items()]
 
 

@@ -31,10 +31,6 @@ _METRICS_OF_PART = {
 """per part of the record, prefixes of the metrics that need it"""
 
 
-class ReportError(InputError):
-    """Folders or files that cannot be reported on: one line with what was found and what is allowed."""
-
-
 class MeasuredRun:
     """A record with its metrics, which are computed on demand or read from the run's folder."""
 
@@ -121,33 +117,33 @@ class MeasuredRun:
 
 
 def _read_metrics(file: Path) -> Metrics:
-    """Read metrics.json; ReportError if it is unreadable or invalid."""
+    """Read metrics.json; InputError if it is unreadable or invalid."""
     try:
         metrics = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ReportError(f"{file}: cannot be read ({error.strerror})") from None
+        raise InputError(file, f"cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError):
-        raise ReportError(f"{file}: found no JSON, allowed: a run's metrics") from None
+        raise InputError(file, "found no JSON", "a run's metrics") from None
     if not isinstance(metrics, dict):
-        raise ReportError(f"{file}: found no table, allowed: a run's metrics")
+        raise InputError(file, "found no table", "a run's metrics")
     for key, value in metrics.items():
         if not isinstance(value, str if key == "outcome" else (int, float)):
             kind = "text" if key == "outcome" else "a number"
-            raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: {kind}")
+            raise InputError(file, f"{shown_name(key)}: found {shown(value)}", kind)
         if isinstance(value, int) and value.bit_length() > 1000:  # beyond the range of a float
-            raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: a number")
+            raise InputError(file, f"{shown_name(key)}: found {shown(value)}", "a number")
     return Metrics(metrics)
 
 
 def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a run") -> None:
-    """Raise ReportError for a folder that is not a run folder, for no folder and for more than `MAX_RUNS`."""
+    """Raise InputError for a folder that is not a run folder, for no folder and for more than `MAX_RUNS`."""
     if not 1 <= len(folders) <= MAX_RUNS:
-        raise ReportError(f"runs: found {len(folders)}, allowed: 1 to {MAX_RUNS}")
+        raise InputError("runs", f"found {len(folders)}", f"1 to {MAX_RUNS}")
     for folder in map(Path, folders):
         if not (folder / "config.toml").is_file():
             found = "no config.toml in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
             found = "the folder of a campaign" if (folder / "campaign.toml").is_file() else found
-            raise ReportError(f"{folder}: found {found}, allowed: {allowed}{_near(folder)}")
+            raise InputError(folder, f"found {found}", f"{allowed}{_near(folder)}")
 
 
 def _near(folder: Path) -> str:
@@ -178,7 +174,7 @@ class Trajectory:
         self._trace = trace
 
     def frame(self) -> pd.DataFrame:
-        """A row per keyframe, world frame, metres and radians; ExtraError without pandas.
+        """A row per keyframe, world frame, metres and radians; InputError without pandas.
 
         `stamp_ns` is the index. `time_s` and `distance_m` are since the first scan; `x`, `y`, `theta` the causal
         estimate after the keyframe's update, `sigma_*` its standard deviations; `*_final` the pose as known at the end;
@@ -213,7 +209,7 @@ class Landmarks:
         self._trace = trace
 
     def frame(self) -> pd.DataFrame:
-        """A row per landmark with index `id`, world frame, metres and radians; ExtraError without pandas.
+        """A row per landmark with index `id`, world frame, metres and radians; InputError without pandas.
 
         `kind`; of a point `x`, `y` and their standard deviations `sigma_*`; of a wall its normal's angle `alpha` and
         distance `d` from the origin, theirs, and the ends of its seen part, `from_x` to `to_y`; `observations`, the

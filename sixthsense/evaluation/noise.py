@@ -44,10 +44,6 @@ _MOTION = {
 _SYSTEMATIC = ("wheel_scale_error", "drift_rad_per_m")
 
 
-class CalibrationError(InputError):
-    """One line for a calibration that is not possible."""
-
-
 @dataclass(frozen=True, slots=True)
 class Sample:
     """One motion of about half a second and the scan at its end."""
@@ -227,7 +223,7 @@ def fit_laser(
     """`assumed` with the range noise at which the mean NEES of the observations is 2.
 
     The range noise is bounded by the RANSAC threshold, since line fitting rejects returns beyond it; larger errors of
-    observations go into `landmark_floor_m`. Raises CalibrationError for too few observations.
+    observations go into `landmark_floor_m`. Raises InputError for too few observations.
     """
 
     def is_overconfident(changes: dict[str, Any]) -> bool:
@@ -246,9 +242,10 @@ def fit_laser(
 
     count = len(landmark_errors(samples, landmarks, assumed, config, seed).errors)
     if count < FEWEST_SAMPLES:
-        raise CalibrationError(
-            f"scene: found {count} observations of landmarks in {len(samples)} scans, allowed: a place with at least "
-            f"{FEWEST_SAMPLES}"
+        raise InputError(
+            "scene",
+            f"found {count} observations of landmarks in {len(samples)} scans",
+            f"a place with at least {FEWEST_SAMPLES}",
         )
     widest = max(config.features.lines.ransac_threshold_m, 2.0 * _FINEST_M)
     if not is_overconfident(with_range(widest)):

@@ -144,7 +144,7 @@ class Metrics(dict[str, Any]):
             yield group, [key for key in ordered if _of(key).group == group]
 
     def frame(self) -> pd.DataFrame:
-        """A row per metric, index `metric`, with `value`, `unit`, `meaning` and `group`; ExtraError without pandas."""
+        """A row per metric, index `metric`, with `value`, `unit`, `meaning` and `group`; InputError without pandas."""
         keys = [key for _, keys in self.groups() for key in keys]
         columns: dict[str, list[Any]] = {"value": [self[key] for key in keys]}
         for name in ("unit", "meaning", "group"):

@@ -71,19 +71,13 @@ _LINES: dict[str, dict[str, Any]] = {
 """style of each line of points of a frame, by name"""
 
 
-class AnimationError(InputError):
-    """One line for a film that cannot be made."""
-
-
 def check_film(file: Path | str) -> None:
-    """Raise AnimationError, with what is allowed, for a suffix not in SUFFIXES, or an MP4 without ffmpeg."""
+    """Raise InputError, with what is allowed, for a suffix not in SUFFIXES, or an MP4 without ffmpeg."""
     suffix = Path(file).suffix.lower()
     if suffix not in SUFFIXES:
-        raise AnimationError(f"--animate: found {str(file)!r}, allowed: FILE.mp4, FILE.webp or FILE.gif")
+        raise InputError("animate", f"found {str(file)!r}", "FILE.mp4, FILE.webp or FILE.gif")
     if suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        raise AnimationError(
-            f"--animate: {file} needs the program ffmpeg, which is not installed, allowed: FILE.webp or FILE.gif"
-        )
+        raise InputError("animate", f"{file} needs the program ffmpeg, which is not installed", "FILE.webp or FILE.gif")
 
 
 def animate(
@@ -98,7 +92,7 @@ def animate(
 
     `finished` is the trace of that run: it gives the limits of the axes and the number of scans. The run is replayed,
     so each frame shows the map, the landmarks and their 95 % ellipses of its own moment. `on_frame` is called after
-    every frame. Raises AnimationError for a suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg
+    every frame. Raises InputError for a suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg
     fails to write.
     """
     check_film(file)
@@ -137,7 +131,7 @@ def _opened_film(figure: Any, file: Path) -> Iterator[AbstractMovieWriter]:
         with whole(file) as partial, writer.saving(figure, str(partial), _DPI):
             yield writer
     except (BrokenPipeError, subprocess.CalledProcessError):
-        raise AnimationError(f"--animate: ffmpeg cannot write {file}, allowed: FILE.webp or FILE.gif") from None
+        raise InputError("animate", f"ffmpeg cannot write {file}", "FILE.webp or FILE.gif") from None
 
 
 class _ImageWriter(PillowWriter):

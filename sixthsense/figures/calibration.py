@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Kind
 from sixthsense.evaluation.calibrate import Calibration, as_partial_config, summary
-from sixthsense.evaluation.noise import CalibrationError, PropagationErrors
+from sixthsense.evaluation.noise import PropagationErrors
 from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse, new_figure, save
 from sixthsense.record.writing import whole
 
@@ -74,7 +75,7 @@ def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
 def write_calibration(found: Calibration, config: Config, file: Path, title: str) -> None:
     """Write the partial configuration, and the figure as a PNG of the same name; each file is replaced atomically.
 
-    Raises CalibrationError if they cannot be written.
+    Raises InputError if they cannot be written.
     """
     import tomli_w
 
@@ -86,4 +87,4 @@ def write_calibration(found: Calibration, config: Config, file: Path, title: str
             save_calibration(found, drawn, title)
             written.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise CalibrationError(f"--out: {file} cannot be written ({error.strerror}), allowed: a new file") from None
+        raise InputError("out", f"{file} cannot be written ({error.strerror})", "a new file") from None

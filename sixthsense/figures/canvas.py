@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.config.errors import InputError, allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array
 from sixthsense.figures.plot import draw_segments, label_plane, new_figure
@@ -26,24 +26,20 @@ WIDTH_IN = 11.0
 """of most figures"""
 
 
-class FigureError(InputError):
-    """A figure that cannot be drawn: one line with its name, what was found and what is allowed."""
-
-
 class Canvas:
     """A picture that is made when its panels are asked for, or the caller's axes in its place."""
 
     def __init__(self, what: str, kinds: Sequence[str], over: Over = "time", ax: Any = None) -> None:
         """Of the figure named `what`, one of `kinds`, over an axis; `ax` is one Axes of matplotlib or several.
 
-        Without `ax` the picture is new. Raises FigureError for a figure that is none of these kinds, for an axis that
+        Without `ax` the picture is new. Raises InputError for a figure that is none of these kinds, for an axis that
         it is not drawn over, and for what is no Axes.
         """
         if what not in kinds:
-            raise FigureError(f"what: found {shown(what)}, {allowed_names(kinds, nearest(what, kinds))}")
+            raise InputError("what", f"found {shown(what)}", ", ".join(kinds), nearest(what, kinds))
         axes = ("time", "distance") if what in ("error", "nees") else ("time",)
         if over not in axes:
-            raise FigureError(f"over: found {shown(over)} for {what}, allowed: {', '.join(axes)}")
+            raise InputError("over", f"found {shown(over)} for {what}", f"{', '.join(axes)}")
         self.what, self.over = what, over
         self.given = None if ax is None else _axes(ax)
         self.picture: Picture | None = None
@@ -54,12 +50,12 @@ class Canvas:
         return self.given is not None and len(self.given) == 1
 
     def panels(self, rows: int, columns: int, width_in: float, height_in: float, **share: Any) -> list[Any]:
-        """The axes of the figure, row by row; FigureError if the caller has given another number of them."""
+        """The axes of the figure, row by row; InputError if the caller has given another number of them."""
         if self.given is None:
             self.picture, axes = new_axes(rows, columns, width_in, height_in, **share)
             return axes
         if len(self.given) != rows * columns:
-            raise FigureError(f"ax: found {len(self.given)} axes for {self.what}, allowed: {rows * columns}")
+            raise InputError("ax", f"found {len(self.given)} axes for {self.what}", f"{rows * columns}")
         return self.given
 
     def entitle(self, title: str, subtitle: str = "") -> None:
@@ -92,10 +88,10 @@ class Canvas:
 
 
 def _axes(ax: Any) -> list[Any]:
-    """The caller's axes as a list; FigureError for anything else."""
+    """The caller's axes as a list; InputError for anything else."""
     found = list(ax.ravel()) if hasattr(ax, "ravel") else list(ax) if isinstance(ax, Iterable) else [ax]
     if not found or not all(hasattr(one, "get_legend_handles_labels") for one in found):
-        raise FigureError(f"ax: found {shown(ax)}, allowed: Axes of matplotlib, one or several")
+        raise InputError("ax", f"found {shown(ax)}", "Axes of matplotlib, one or several")
     return found
 
 

@@ -34,10 +34,6 @@ Compared = Run | Trace | str | Path | Sampled
 _KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage")
 
 
-class ComparisonError(InputError):
-    """Runs that cannot be compared, in one line."""
-
-
 class Comparison:
     """Several runs for comparison, as returned by `ss.compare`: their table, and their figures.
 
@@ -56,7 +52,7 @@ class Comparison:
     def frame(self) -> pd.DataFrame:
         """A row per run with index `run`: scene, estimator, front_end, preset, planner, seed, and a column per metric.
 
-        NaN where a run lacks the metric; ExtraError without pandas.
+        NaN where a run lacks the metric; InputError without pandas.
         """
         rows = [
             {name: getattr(sample.config, name) for name in LABELS} | dict(sample.metrics) for sample in self.samples
@@ -153,7 +149,7 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comp
     if isinstance(runs, (str, Path)):
         _refuse_campaign(runs)
     if isinstance(runs, (Run, Trace, str, Path)):
-        raise ComparisonError(f"runs: found {shown(runs)}, allowed: a list of runs or folders, or a mapping of them")
+        raise InputError("runs", f"found {shown(runs)}", "a list of runs or folders, or a mapping of them")
     if isinstance(runs, Sampled):
         runs = [runs]
     if isinstance(runs, Mapping):
@@ -168,7 +164,7 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comp
     for name, one in opened:
         samples += [one.sample(next(names))] if isinstance(one, Run) else one.samples(name)
     if not samples:
-        raise ComparisonError("runs: found none, allowed: one or more")
+        raise InputError("runs", "found none", "one or more")
     return Comparison(samples, with_record)
 
 
@@ -180,15 +176,15 @@ def _with_name(name: str, run: Compared) -> Run:
         _refuse_campaign(run)
         run = load(run)
     if not isinstance(run, Run):
-        raise ComparisonError(f"runs: found {shown(run)}, allowed: runs, folders of runs, or campaigns")
+        raise InputError("runs", f"found {shown(run)}", "runs, folders of runs, or campaigns")
     return Run(name or run.name or "run", run.trace, run.metrics, run.folder, run.missing)
 
 
 def _refuse_campaign(folder: str | Path) -> None:
-    """Raise ComparisonError, with the call that loads it, for the folder of a campaign."""
+    """Raise InputError, with the call that loads it, for the folder of a campaign."""
     if (Path(folder) / "campaign.toml").is_file():
-        allowed = f"allowed: ss.load_campaign({str(folder)!r})"
-        raise ComparisonError(f"runs: found the folder of a campaign, {folder}, {allowed}")
+        allowed = f"ss.load_campaign({str(folder)!r})"
+        raise InputError("runs", f"found the folder of a campaign, {folder}", allowed)
 
 
 def _distinguishing_names(runs: Sequence[Compared]) -> list[str]:

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, Sample, differences, grouped, resampled
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M, nees_band
-from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError
+from sixthsense.figures.canvas import WIDTH_IN, Canvas
 from sixthsense.figures.overtime import AXIS_LABELS
 from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, TRUTH
@@ -123,15 +124,15 @@ def draw_relative_errors(ax: Any, groups: Sequence[Group], part: str) -> None:
 def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], over: Over, ax: Any) -> Picture | None:
     """Draw a figure of the runs in groups by these fields; returns None where it is drawn on the caller's axes.
 
-    Raises FigureError for a name that is none of these and for runs that lack the figure's data, GroupError for
+    Raises InputError for a name that is none of these and for runs that lack the figure's data, InputError for
     a field that there is not.
     """
     canvas = Canvas(what, list(_KINDS), over, ax)
     found, kind = grouped(samples, by), _KINDS[what]
     known = [group for group in found if kind.has(group)]
     if not known:
-        kept = "allowed: runs with truth, campaigns of this version"
-        raise FigureError(f"{what}: found no run whose errors are known, {kept}")
+        kept = "runs with truth, campaigns of this version"
+        raise InputError(what, "found no run whose errors are known", kept)
     kind.draw(known, canvas)
     title = kind.title.format(over="time" if over == "time" else "distance travelled")
     spread = kind.spread if len(found) < len(samples) else ""

@@ -10,12 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, differences, fields_of
-from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, numbered_names
+from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, numbered_names
 from sixthsense.evaluation.results import Metrics, metrics_table
 from sixthsense.figures import groups
-from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError
+from sixthsense.figures.canvas import WIDTH_IN, Canvas
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.picture import Picture
@@ -70,16 +71,16 @@ class Kind:
 def figure(what: str, runs: Sequence[MeasuredRun], over: Over = "time", ax: Any = None) -> Picture | None:
     """Draw the figure with this name for 1 to 12 runs; returns None where it is drawn on the caller's axes.
 
-    Raises FigureError for a name that is not in `KINDS`, for a figure whose data all runs lack and for axes that do not
-    do, and ReportError for another number of runs.
+    Raises InputError for a name that is not in `KINDS`, for a figure whose data all runs lack and for axes that do not
+    do, and InputError for another number of runs.
     """
     canvas = Canvas(what, list(KINDS), over, ax)
     if _drawn(canvas, runs):
         return canvas.picture
     part = KINDS[what].part
     if part is not None and any(part.value in run.missing for run in runs):
-        raise FigureError(f"{what}: found a folder without {part.value}, allowed: ss.replay, which estimates it again")
-    raise FigureError(f"{what}: found a run without {KINDS[what].data}, allowed: a run that has it")
+        raise InputError(what, f"found a folder without {part.value}", "ss.replay, which estimates it again")
+    raise InputError(what, f"found a run without {KINDS[what].data}", "a run that has it")
 
 
 def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
@@ -91,7 +92,7 @@ def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
 def _drawn(canvas: Canvas, runs: Sequence[MeasuredRun]) -> bool:
     """Draw a figure with its title; returns False if all runs lack its data."""
     if not 1 <= len(runs) <= MAX_RUNS:
-        raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MAX_RUNS}")
+        raise InputError("runs", f"found {len(runs)}", f"1 to {MAX_RUNS}")
     names, kind, several = numbered_names(runs), KINDS[canvas.what], len(runs) > 1
     shown = [_Shown(run, names[k] if several else None, CYCLE[k % len(CYCLE)]) for k, run in enumerate(runs)]
     shown = [one for one in shown if kind.has(one)]

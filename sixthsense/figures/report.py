@@ -29,7 +29,7 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
     """Write the figures and `report.html` into the folder `out`, for several runs also `metrics.csv`.
 
     The folder is created if missing. `form` "svg" or "pdf" adds each figure as vector graphics. A figure whose data all
-    runs lack, such as errors without truth, is left out. Returns the written files. Raises ReportError for no run and
+    runs lack, such as errors without truth, is left out. Returns the written files. Raises InputError for no run and
     for more than 12 runs.
     """
     out = Path(out)

@@ -33,7 +33,7 @@ class Run(MeasuredRun):
         "nees" can be drawn `over` "distance" travelled. On `ax`, one Axes or as many as the figure has panels, it is
         drawn in place and nothing is returned; on one Axes, "error", "nees" and "rpe" draw their main panel alone.
 
-        Raises FigureError with the allowed names for any other name, for another number of axes, and for a figure whose
+        Raises InputError with the allowed names for any other name, for another number of axes, and for a figure whose
         data the run lacks, such as errors without truth.
         """
         from sixthsense.figures.panels import figure

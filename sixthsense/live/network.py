@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 from xml.sax.saxutils import quoteattr
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.live.topics import NetworkError, Topic, dds, dds_type, qos
+from sixthsense.live.topics import Topic, dds, dds_type, qos
 
 LOOPBACK = "127.0.0.1"
 LARGEST_MESSAGE_BYTES = 64 << 20
@@ -43,20 +44,20 @@ class Network:
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= _LARGEST_DOMAIN:
-            raise NetworkError(f"--domain: found {self.domain}, allowed: 0 to {_LARGEST_DOMAIN}")
+            raise InputError("domain", f"found {self.domain}", f"0 to {_LARGEST_DOMAIN}")
         for interface in self.interfaces:
             if not (_is_address(interface) or _INTERFACE_NAME.fullmatch(interface)):
-                found = f"--interface: found {shown(interface)}"
-                raise NetworkError(f"{found}, allowed: names or addresses of network interfaces")
+                found = f"found {shown(interface)}"
+                raise InputError("interface", found, "names or addresses of network interfaces")
         if any(map(_is_loopback, self.interfaces)) and not self.is_loopback:
-            found = f"--interface: found {','.join(self.interfaces)}"
-            raise NetworkError(f"{found}, allowed: others without the loopback: they reach this machine, too")
+            found = f"found {','.join(self.interfaces)}"
+            raise InputError("interface", found, "others without the loopback: they reach this machine, too")
         for peer in self.peers:
             if not _is_address(peer):
-                raise NetworkError(f"--peers: found {shown(peer)}, allowed: addresses such as 192.168.1.7")
+                raise InputError("peers", f"found {shown(peer)}", "addresses such as 192.168.1.7")
             if self.is_loopback and not ipaddress.ip_address(peer).is_loopback:
-                found = f"--peers: found {peer} with --interface {','.join(self.interfaces)}"
-                raise NetworkError(f"{found}, allowed: with the interface that leads there")
+                found = f"found {peer} with `interface` {','.join(self.interfaces)}"
+                raise InputError("peers", found, "with the interface that leads there")
 
     @property
     def is_loopback(self) -> bool:
@@ -91,10 +92,10 @@ class Network:
 
 
 def domain_of_environment() -> int:
-    """The domain of ROS_DOMAIN_ID, 0 without it; NetworkError for one that is no number."""
+    """The domain of ROS_DOMAIN_ID, 0 without it; InputError for one that is no number."""
     text = os.environ.get("ROS_DOMAIN_ID", "") or "0"
     if not text.isascii() or not text.isdigit():
-        raise NetworkError(f"ROS_DOMAIN_ID: found {shown(text)}, allowed: 0 to {_LARGEST_DOMAIN}")
+        raise InputError("ROS_DOMAIN_ID", f"found {shown(text)}", f"0 to {_LARGEST_DOMAIN}")
     return int(text)
 
 
@@ -104,7 +105,7 @@ def is_configured_by_user() -> bool:
 
 
 def check_installed() -> None:
-    """Raise ExtraError, which says how to install it, if there is no Cyclone DDS."""
+    """Raise InputError, which says how to install it, if there is no Cyclone DDS."""
     dds("core")
 
 
@@ -130,7 +131,7 @@ class Node:
     """A participant with its readers and writers. A context manager, which leaves the network at its end."""
 
     def __init__(self, network: Network) -> None:
-        """Join; NetworkError if an interface is not there or all places of the domain are taken."""
+        """Join; InputError if an interface is not there or all places of the domain are taken."""
         core, domain = dds("core"), dds("domain")
         own = not network.is_configured
         for interface in network.interfaces * own:
@@ -142,10 +143,10 @@ class Node:
                 self._entities.append(domain.Domain(network.domain, network.xml()))
             self._participant = domain.DomainParticipant(network.domain)
         except core.DDSException as error:
-            where = f"--interface {','.join(network.interfaces)}" if own else _OWN_CONFIGURATION
+            where = f"interface {','.join(network.interfaces)}" if own else _OWN_CONFIGURATION
             allowed = "an interface that is up" if own else "a configuration of Cyclone DDS"
-            where = f"{where}, --domain {network.domain}"
-            raise NetworkError(f"{where}: cannot be joined ({error.msg}), allowed: {allowed}") from None
+            where = f"{where}, domain {network.domain}"
+            raise InputError(where, f"cannot be joined ({error.msg})", allowed) from None
         self._entities.append(self._participant)
         if network.is_loopback:
             _confine_to_loopback(_open_sockets() - before)
@@ -280,7 +281,7 @@ def _is_loopback(interface: str) -> bool:
 
 
 def _check_interface(interface: str) -> None:
-    """Raise NetworkError for an interface that this machine has not; Cyclone DDS would take another one."""
+    """Raise InputError for an interface that this machine has not; Cyclone DDS would take another one."""
     try:
         if _is_address(interface):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -289,7 +290,7 @@ def _check_interface(interface: str) -> None:
             socket.if_nametoindex(interface)
     except OSError:
         names = ", ".join(name for _, name in socket.if_nameindex())
-        raise NetworkError(f"--interface: found {interface}, allowed: {names}, or an address of one") from None
+        raise InputError("interface", f"found {interface}", f"{names}, or an address of one") from None
 
 
 def _open_sockets() -> set[int]:

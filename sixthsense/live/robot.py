@@ -191,7 +191,7 @@ class LiveRobot:
     def _begin_anew(self, anew: Anew) -> None:
         """The robot stands where it was, if it cannot be far from there; else it is searched in the map."""
         why = (
-            "its driver was started again" if self._is_restarted else "faster than --robot.speed and --robot.turn-rate"
+            "its driver was started again" if self._is_restarted else "faster than `robot.speed` and `robot.turn_rate`"
         )
         text = f"odometry has jumped by {anew.jump_m:.1f} m after {anew.pause_s:.1f} s, {why}"
         if anew.reach_m <= _NEAR_M or self._last_scan is None or not self._trace.estimates:

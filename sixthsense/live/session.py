@@ -11,7 +11,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from sixthsense.config import Config, ConfigError
+from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Pose
@@ -25,7 +26,7 @@ from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Publisher, Stamped
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
-from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, NetworkError, Topic, checked_topic
+from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
 from sixthsense.loop.run import OnTick, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
@@ -61,10 +62,8 @@ class Topics(NamedTuple):
     """of odometry in /tf, instead of a topic of Odometry"""
 
     def checked(self) -> Topics:
-        """With absolute names; NetworkError for one that is not allowed."""
-        scan, odom, cmd_vel = (
-            checked_topic(f"--{name.replace('_', '-')}", getattr(self, name)) for name in ("scan", "odom", "cmd_vel")
-        )
+        """With absolute names; InputError for one that is not allowed."""
+        scan, odom, cmd_vel = (checked_topic(name, getattr(self, name)) for name in ("scan", "odom", "cmd_vel"))
         return Topics(scan, odom if self.frames is None else _TF, cmd_vel, self.frames)
 
     @property
@@ -103,7 +102,7 @@ class Session:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
 
         `stated` names the fields of `config.laser` that take precedence over the robot's messages. A robot that is to
-        be driven must subscribe to its commands, with `stamped` to TwistStamped. NetworkError if another robot sends on
+        be driven must subscribe to its commands, with `stamped` to TwistStamped. InputError if another robot sends on
         these topics, or takes the commands.
         """
         self._maps = self._open.enter_context(MapSender(self._network, self._say))  # some seconds before it is needed
@@ -116,7 +115,7 @@ class Session:
         scans, self._robot, found = self._first_messages(drive, stamped)
         stamps = sorted(scans)
         if turns := found_turns([scans[stamp] for stamp in stamps], self._laser.frame):
-            raise NetworkError(f"{topics.scan}: {turns}")
+            raise InputError(topics.scan, turns)
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.fix()
@@ -161,7 +160,7 @@ class Session:
             self._discard()
             if (start := robot.begin()) is None:
                 if robot.outcome is not None:
-                    raise NetworkError(f"{self._topics.scan}: found {robot.outcome}, allowed: one robot")
+                    raise InputError(self._topics.scan, f"found {robot.outcome}", "one robot")
                 raise KeyboardInterrupt
             recorded_drive(robot, start, pilot, trace, on_tick, prior)
         trace.outcome = robot.outcome or _by_user(trace.outcome)
@@ -203,8 +202,8 @@ class Session:
                 missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
                 missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
                 if odometry is None and topics.frames is None:
-                    missing[-1] += " (in /tf: --odometry-frames odom,base_link; none: --no-odometry)"
-                self._say(f"{' and '.join(missing)} yet; other networks: --interface, --domain, --peers")
+                    missing[-1] += " (in /tf: `odometry_frames` odom,base_link; none: `no_odometry`)"
+                self._say(f"{' and '.join(missing)} yet; other networks: `interface`, `domain`, `peers`")
             for is_scan, message in self._received(_WAIT_S):
                 try:
                     if is_scan:
@@ -218,7 +217,7 @@ class Session:
         return scans, odometry, last
 
     def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
-        """Whether nobody takes the commands of a robot that is to be driven; NetworkError if there is another robot."""
+        """Whether nobody takes the commands of a robot that is to be driven; InputError if there is another robot."""
         is_topic = self._topics.frames is None and not self.config.no_odometry
         for reader in (self._scans, self._odometry) if is_topic else (self._scans,):
             check_one_publisher(reader)
@@ -241,7 +240,7 @@ class Session:
                 if not self._robot.robot and robot == self._laser.frame and not is_late:
                     found = None  # there may be transforms yet
             except ValueError as error:
-                raise ConfigError(f"/tf_static: {error}, or --laser.mount X Y THETA") from None
+                raise InputError("/tf_static", f"{error}, or `laser.mount` X Y THETA") from None
             if found is not None:
                 return found
             if is_late and is_all:
@@ -264,38 +263,38 @@ class Session:
 
 
 def check_one_publisher(reader: Reader) -> None:
-    """Raise NetworkError if a topic has several publishers: a map of two robots is of neither."""
+    """Raise InputError if a topic has several publishers: a map of two robots is of neither."""
     if (count := reader.publishers) > 1:
-        found = f"{reader.topic.name}: found {count} publishers"
-        raise NetworkError(f"{found}, allowed: one robot; --scan and --odom name its topics, --domain its network")
+        found = f"found {count} publishers"
+        raise InputError(reader.topic.name, found, "one robot; `scan` and `odom` name its topics, `domain` its network")
 
 
 def command_type(node: Node, topic: str, is_stamped: bool) -> str | None:
     """The type of the commands that a robot takes, by its subscription; None before there is one.
 
-    `is_stamped` demands TwistStamped. Raises NetworkError for several subscribers, since each may be a robot, and for
+    `is_stamped` demands TwistStamped. Raises InputError for several subscribers, since each may be a robot, and for
     one of another type.
     """
     found = node.subscribers(topic)
     if not found:
         return None
     if len(found) > 1:
-        raise NetworkError(f"{topic}: found {len(found)} subscribers, allowed: one, as each may be a robot that drives")
+        raise InputError(topic, f"found {len(found)} subscribers", "one, as each may be a robot that drives")
     (kind, _) = found[0]
     allowed = (TWIST_STAMPED,) if is_stamped else (TWIST, TWIST_STAMPED)
     if kind in allowed:
         return kind
     if kind == TWIST:
-        raise NetworkError(f"--cmd-vel-stamped: found a subscriber of {TWIST} on {topic}, allowed: without this option")
-    raise NetworkError(f"{topic}: found a subscriber of {shown(kind)}, allowed: {' or '.join(allowed)}")
+        raise InputError("cmd_vel_stamped", f"found a subscriber of {TWIST} on {topic}", "without this option")
+    raise InputError(topic, f"found a subscriber of {shown(kind)}", f"{' or '.join(allowed)}")
 
 
 def check_drive(config: Config) -> None:
-    """Raise ConfigError for a task without what it needs: there is no scene to take it from."""
+    """Raise InputError for a task without what it needs: there is no scene to take it from."""
     needed = {"explore": ("region", "x0 y0 x1 y1"), "goal": ("goal", "x y"), "tour": ("tour", "x y x y ...")}
     name, form = needed[config.task]
     if getattr(config, name) is None:
-        raise ConfigError(f"--{name}: missing, allowed: {form}, metres, in the frame of the map")
+        raise InputError(name, "missing", f"{form}, metres, in the frame of the map")
 
 
 def _by_user(outcome: str) -> str:

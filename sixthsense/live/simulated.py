@@ -10,13 +10,14 @@ from typing import NamedTuple, Self, TextIO
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Endpoint, Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
-from sixthsense.live.topics import LATCHED, RELIABLE, NetworkError, Topic
+from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.record.ending import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
@@ -70,7 +71,7 @@ class SimulatedRobot:
         self._sent = 0
 
     def begin(self, truth: Path | None = None) -> None:
-        """Announce the topics; NetworkError if another robot or simulator has them.
+        """Announce the topics; InputError if another robot or simulator has them.
 
         `truth` is a file for the true trajectory, OSError if it cannot be written.
         """
@@ -157,15 +158,15 @@ def drive_by_commands(robot: SimulatedRobot, config: Config, task: Mission, time
 
 
 def check_alone(node: Node, published: tuple[Topic, ...], subscribed: tuple[Topic, ...], before: str = "") -> None:
-    """Raise NetworkError if another program publishes or subscribes to a topic that a simulated robot is to have alone.
+    """Raise InputError if another program publishes or subscribes to a topic that a simulated robot is to have alone.
 
     With `before` only programs count whose identifier is smaller: of two that begin at once, one stays.
     """
     for topics, ends, what in ((published, node.publishers, "publisher"), (subscribed, node.subscribers, "subscriber")):
         for topic in topics:
             if any(_counts(end, before) for end in ends(topic.name)):
-                found = f"{topic.name}: found another {what}"
-                raise NetworkError(f"{found}, allowed: one robot or simulator in a network; --domain N is another one")
+                found = f"found another {what}"
+                raise InputError(topic.name, found, "one robot or simulator in a network; `domain` N is another one")
 
 
 def _counts(end: Endpoint, before: str) -> bool:

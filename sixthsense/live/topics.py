@@ -11,16 +11,12 @@ from functools import cache
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from sixthsense.config.errors import ExtraError, InputError
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.record.messages import Messages
 
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _BLOCKED_MS = 20  # a writer waits at most this long for a reader that lags behind
-
-
-class NetworkError(InputError):
-    """A network that cannot be joined, in one line."""
 
 
 class Quality(NamedTuple):
@@ -52,9 +48,9 @@ class Topic(NamedTuple):
 
 
 def checked_topic(option: str, name: str) -> str:
-    """The absolute name of a topic; NetworkError for one that is not allowed."""
+    """The absolute name of a topic; InputError for one that is not allowed."""
     if not _ROS_NAME.fullmatch(name) or len(name) > 200:
-        raise NetworkError(f"{option}: found {shown(name)}, allowed: a name such as /scan")
+        raise InputError(option, f"found {shown(name)}", "a name such as /scan")
     return "/" + name.lstrip("/")
 
 
@@ -109,9 +105,9 @@ def qos(quality: Quality) -> Any:
 
 
 def dds(module: str) -> Any:
-    """A module of Cyclone DDS; ExtraError that says how to install it."""
+    """A module of Cyclone DDS; InputError that says how to install it."""
     try:
         return import_module(f"cyclonedds.{module}")
     except ImportError as error:
         allowed = 'allowed: after pip install "sixthsense[ros2]"'
-        raise ExtraError(f"ROS 2: Cyclone DDS cannot be imported ({error}), {allowed}") from None
+        raise InputError("ROS 2", f"Cyclone DDS cannot be imported ({error})", allowed) from None

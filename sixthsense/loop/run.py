@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
@@ -20,7 +21,7 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Live, Stopwatch, Trace
-from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
+from sixthsense.slam.prior_map import PriorStart, check_usable
 from sixthsense.slam.result import Step
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.log import Log, Relations, RewindableSource
@@ -137,8 +138,8 @@ def run(
     `scene` is that scene where it is loaded already, or the mission there where it has been checked, which is that of
     one run alone. `on_tick` is called after every tick with it and the trace so far.
     With `prior` the robot begins with the map of an earlier run; the true start is that of scene and configuration.
-    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal, ConfigError
-    and PriorMapError for a prior map that cannot be used.
+    Ctrl-C ends the run in order, as "interrupted". Raises InputError for an invalid scene, start or goal, InputError
+    and InputError for a prior map that cannot be used.
     """
     if not isinstance(scene, Mission):
         config, scene = mission_of(config, scene)
@@ -182,7 +183,7 @@ def find_start(
 ) -> tuple[Source, PriorStart, Pose]:
     """Drive without the map until the robot's place in it is certain: the source from its begin, and the start.
 
-    Raises PriorMapError if nothing has become certain when the drive ends, at the latest after `config.max_time`.
+    Raises InputError if nothing has become certain when the drive ends, at the latest after `config.max_time`.
     """
     from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
 
@@ -211,11 +212,9 @@ def find_start(
     if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen
         start = relocalizer.place
     if start is None:
-        found = (
-            f"lost: found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
-        )
+        found = f"found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
         ended = "" if outcome == NOWHERE else f" ({outcome})"
-        raise PriorMapError(f"{found}{ended}, allowed: a map of this building, in which places differ")
+        raise InputError("lost", f"{found}{ended}", "a map of this building, in which places differ")
     first.rewind()
     return first, prior._replace(pose=start, sigma=FOUND_SIGMA), start
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config
-from sixthsense.config.errors import reason_of
+from sixthsense.config.errors import InputError, reason_of
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.factors import factor_graph, links_of, write_graph
-from sixthsense.record.reading import RecordError, checked
+from sixthsense.record.reading import checked
 from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
@@ -156,7 +156,7 @@ def write_arrays(folder: Path, trace: Trace) -> None:
 
 
 def read_arrays(file: Path, trace: Trace) -> None:
-    """Add to the trace what `record.npz` holds; raises RecordError for a file that is damaged."""
+    """Add to the trace what `record.npz` holds; raises InputError for a file that is damaged."""
     with _loaded(file) as arrays:
         trajectory = _floats(arrays, "trajectory", (len(trace.key_stamps_ns), 3))
         trace.records = _records(arrays)
@@ -179,7 +179,7 @@ def read_arrays(file: Path, trace: Trace) -> None:
 
 
 def read_records(file: Path) -> dict[LandmarkId, Record]:
-    """What `record.npz` holds of each landmark; raises RecordError for a file that is damaged."""
+    """What `record.npz` holds of each landmark; raises InputError for a file that is damaged."""
     with _loaded(file) as arrays:
         return _records(arrays)
 
@@ -208,7 +208,7 @@ def _shape_of(row: Array) -> MeanShape:
 
 
 def read_landmarks(file: Path, trace: Trace) -> None:
-    """Set the trace's final estimate to that in `landmarks.npz`; raises RecordError for a file that is damaged."""
+    """Set the trace's final estimate to that in `landmarks.npz`; raises InputError for a file that is damaged."""
     with _loaded(file) as arrays:
         ids = _integers(arrays, "ids")
         walls = _integers(arrays, "kinds", len(ids)) == Kind.WALL
@@ -220,7 +220,7 @@ def read_landmarks(file: Path, trace: Trace) -> None:
 
 
 def read_grid(file: Path, config: Config, radius_m: float) -> Grid:
-    """The map that `grid.npz` holds; raises RecordError for a file that is damaged."""
+    """The map that `grid.npz` holds; raises InputError for a file that is damaged."""
     with _loaded(file) as arrays:
         hits, passes = arrays["hits"].astype(np.int32), arrays["passes"].astype(np.int32)
         x, y = _floats(arrays, "origin", (2,)).tolist()
@@ -229,19 +229,19 @@ def read_grid(file: Path, config: Config, radius_m: float) -> Grid:
 
 @contextlib.contextmanager
 def _loaded(file: Path) -> Iterator[dict[str, Any]]:
-    """The arrays of an NPZ file; whatever is wrong with them within the block is a RecordError."""
+    """The arrays of an NPZ file; whatever is wrong with them within the block is an InputError."""
     try:
         with np.load(file, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
         yield arrays
-    except RecordError:
+    except InputError:
         raise
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror or 'damaged'})") from None
+        raise InputError(file, f"cannot be read ({error.strerror or 'damaged'})") from None
     except KeyError as error:
-        raise RecordError(f"{file}: found no array {error.args[0]!r}, allowed: that of a run") from None
+        raise InputError(file, f"found no array {error.args[0]!r}", "that of a run") from None
     except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
-        raise RecordError(f"{file}: found {reason_of(error)}, allowed: the arrays of a run") from None
+        raise InputError(file, f"found {reason_of(error)}", "the arrays of a run") from None
 
 
 def _integers(arrays: dict[str, Any], name: str, count: int | None = None) -> Any:

@@ -20,7 +20,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.record.ending import write_ending
 from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
-from sixthsense.record.writing import FolderError, FolderLock, naming, whole
+from sixthsense.record.writing import FolderLock, naming, whole
 
 _FILES = frozenset(
     {
@@ -52,11 +52,11 @@ class RunFolder:
     ) -> None:
         """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay, `prior_map` the map.
 
-        The `OUT.partial` of a killed run is renamed, and `notes` say so. Raises FolderError if `out` exists and
+        The `OUT.partial` of a killed run is renamed, and `notes` say so. Raises InputError if `out` exists and
         `overwrite` is false, if it is not a run's folder or another process writes it, and if it cannot be written.
         """
         if out.name in ("", ".."):
-            raise FolderError(f"--out: found {str(out)!r}, allowed: a path that ends in a name")
+            raise InputError("out", f"found {str(out)!r}", "a path that ends in a name")
         self.out = out
         self.partial = out.with_name(out.name + ".partial")
         self.notes: list[str] = []
@@ -76,9 +76,7 @@ class RunFolder:
                 self._lock.release()
                 raise
         except OSError as error:
-            raise FolderError(
-                f"--out: {self.partial} cannot be written ({error.strerror}), allowed: a new folder"
-            ) from None
+            raise InputError("out", f"{self.partial} cannot be written ({error.strerror})", "a new folder") from None
 
     def __enter__(self) -> RunFolder:
         return self
@@ -94,7 +92,7 @@ class RunFolder:
     def _restore_replaced(self) -> None:
         """Complete a replacement that was killed half-way: the old run is restored, or removed if the new one is there.
 
-        Raises FolderError if someone has written into the old run's folder.
+        Raises InputError if someone has written into the old run's folder.
         """
         if not os.path.lexists(self._replaced):
             return
@@ -104,22 +102,22 @@ class RunFolder:
             return
         foreign = next(foreign_entries(self._replaced), None)
         if foreign is not None:
-            raise FolderError(f"--out: {self._replaced} holds {foreign}, which no run writes, allowed: move it away")
+            raise InputError("out", f"{self._replaced} holds {foreign}, which no run writes", "move it away")
         shutil.rmtree(self._replaced)
 
     def _check_out(self) -> None:
-        """Raise FolderError unless `out` is new, or is a run that may be replaced."""
+        """Raise InputError unless `out` is new, or is a run that may be replaced."""
         if not os.path.lexists(self.out):
             return
         if self.out.is_symlink():
-            raise FolderError(f"--out: {self.out} is a symbolic link, allowed: a folder")
+            raise InputError("out", f"{self.out} is a symbolic link", "a folder")
         if not self._overwrite:
-            raise FolderError(f"--out: {self.out} exists, allowed: a new folder, or --overwrite")
+            raise InputError("out", f"{self.out} exists", "a new folder, or `overwrite`")
         if reason := reason_not_a_run(self.out):
             raise _not_a_run(self.out, reason)
 
     def _keep_killed(self) -> None:
-        """Rename the `.partial` of a killed run, unless it has recorded nothing; FolderError if it is not of a run."""
+        """Rename the `.partial` of a killed run, unless it has recorded nothing; InputError if it is not of a run."""
         if not os.path.lexists(self.partial):
             return
         if _is_just_made(self.partial):
@@ -147,13 +145,13 @@ class RunFolder:
     def finish(self) -> None:
         """Rename the folder to `OUT`, replacing an existing run, and release it.
 
-        The old run is moved aside until the new one has its name, and back if it cannot have it. Raises FolderError if
+        The old run is moved aside until the new one has its name, and back if it cannot have it. Raises InputError if
         `OUT` has meanwhile become something that may not be replaced; the new run then stays in `OUT.partial`.
         """
         try:
             self._check_out()
-        except FolderError as error:
-            raise FolderError(f"{error}; the run is in {self.partial}") from None
+        except InputError as error:
+            raise InputError(error.where, error.found, f"{error.allowed}; the run is in {self.partial}") from None
         if os.path.lexists(self.out):
             self.out.rename(self._replaced)
             try:
@@ -176,8 +174,8 @@ def _is_just_made(folder: Path) -> bool:
     )
 
 
-def _not_a_run(folder: Path, reason: str) -> FolderError:
-    return FolderError(f"--out: {folder} is not a run folder, it {reason}, allowed: a new folder, or a run folder")
+def _not_a_run(folder: Path, reason: str) -> InputError:
+    return InputError("out", f"{folder} is not a run folder, it {reason}", "a new folder, or a run folder")
 
 
 def reason_not_a_run(folder: Path) -> str:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sixthsense.config import ConfigError, load_config, prior_map_of
+from sixthsense.config import load_config, prior_map_of
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Pose
@@ -23,7 +24,7 @@ from sixthsense.record.ending import (
     read_landmarks,
     read_records,
 )
-from sixthsense.record.reading import RecordError, read_stream
+from sixthsense.record.reading import read_stream
 from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import LandmarkPrior
@@ -76,36 +77,34 @@ def _read_end(folder: Path, trace: Trace) -> set[RecordPart]:
     read_arrays(folder / END_FILE, trace)
     read_landmarks(folder / LANDMARKS_FILE, trace)
     if not set(trace.final.ids.tolist()) <= set(trace.records):
-        raise RecordError(
-            f"{folder / LANDMARKS_FILE}: found landmarks that {END_FILE} does not know, allowed: those of one run"
-        )
+        raise InputError(folder / LANDMARKS_FILE, f"found landmarks that {END_FILE} does not know", "those of one run")
     return set()
 
 
 def read_prior_map(folder: Path | str) -> PriorMap:
     """The map in the folder of a run that has ended.
 
-    Raises RecordError, naming the file, for a folder that is no run folder, lacks a part of the map, or is damaged, and
+    Raises InputError, naming the file, for a folder that is no run folder, lacks a part of the map, or is damaged, and
     for a map without landmarks.
     """
     folder = Path(folder)
     if not (folder / "config.toml").is_file():
         found = "no config.toml in it" if folder.is_dir() else "no such folder"
-        raise RecordError(f"{folder}: found {found}, allowed: the folder of a run")
+        raise InputError(folder, f"found {found}", "the folder of a run")
     for name in (LANDMARKS_FILE, END_FILE):
         if not (folder / name).is_file():
-            raise RecordError(f"{folder}: found no {name}, allowed: the folder of a run that has ended")
+            raise InputError(folder, f"found no {name}", "the folder of a run that has ended")
     config = load_config(folder / "config.toml")
     trace = Trace(config, None, 0.0)
     read_landmarks(folder / LANDMARKS_FILE, trace)
     records = read_records(folder / END_FILE)
     final, cov = trace.final, trace.joint_cov[3:, 3:]
     if not len(final.ids):
-        raise RecordError(f"{folder}: found a map without landmarks, allowed: one by the front end of landmarks")
+        raise InputError(folder, "found a map without landmarks", "one by the front end of landmarks")
     if len(np.unique(final.ids)) != len(final.ids) or not set(final.ids.tolist()) <= set(records):
-        raise RecordError(f"{folder / LANDMARKS_FILE}: found landmarks unlike {END_FILE}, allowed: those of one run")
+        raise InputError(folder / LANDMARKS_FILE, f"found landmarks unlike {END_FILE}", "those of one run")
     if fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK):
-        raise RecordError(f"{folder / LANDMARKS_FILE}: found {fault}, allowed: a covariance")
+        raise InputError(folder / LANDMARKS_FILE, f"found {fault}", "a covariance")
     kept = {i: records[i] for i in final.ids.tolist()}
     extents = np.array([record.extent for record in kept.values()])
     landmarks = LandmarkPrior(final.ids, final.landmarks, final.walls, cov, extents)
@@ -121,29 +120,24 @@ def prior_start(
     pose: Sequence[float] | None,
     sigma: Sequence[float] | None,
     lost: bool = False,
-    prefix: str = "",
 ) -> PriorStart | None:
-    """The prior map in `folder` and the start in it, None without a folder; `prefix` precedes names in messages.
+    """The prior map in `folder` and the start in it, None without a folder. A robot that is `lost` has no pose.
 
-    A robot that is `lost` has no pose.
-
-    Raises ConfigError for a pose or sigmas that are not allowed, and without a folder; RecordError as `read_prior_map`.
+    Raises InputError for a pose or sigmas that are not allowed, and without a folder; InputError as `read_prior_map`.
     """
-    names = ("prior_map", "pose", "pose_sigma", "lost")
-    option = {name: prefix + (name.replace("_", "-") if prefix else name) for name in names}
     given = {name: value for name, value in (("pose", pose), ("pose_sigma", sigma)) if value is not None}
     if folder is None:
         for name in ("lost",) if lost else given:
-            raise ConfigError(f"{option[name]}: found without {option['prior_map']}, allowed: with it")
+            raise InputError(name, "found without `prior_map`", "with it")
         return None
     for name, value in given.items():
         is_number = [isinstance(number, int | float) and math.isfinite(number) for number in value]
         if len(value) != 3 or not all(is_number):
-            raise ConfigError(f"{option[name]}: found {' '.join(map(str, value))}, allowed: three finite numbers")
+            raise InputError(name, f"found {' '.join(map(str, value))}", "three finite numbers")
         if lost:
-            raise ConfigError(f"{option[name]}: found with {option['lost']}, allowed: one of both")
+            raise InputError(name, "found with `lost`", "one of both")
     if sigma is not None and min(sigma) < 0.0:
-        raise ConfigError(f"{option['pose_sigma']}: found {' '.join(map(str, sigma))}, allowed: at least 0")
+        raise InputError("pose_sigma", f"found {' '.join(map(str, sigma))}", "at least 0")
     x, y, theta = (0.0, 0.0, 0.0) if sigma is None else map(float, sigma)
     there = None if pose is None else Pose.from_array(np.array(pose, dtype=np.float64))
     return PriorStart(read_prior_map(folder), there, (x, y, theta), lost)

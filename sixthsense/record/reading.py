@@ -31,14 +31,10 @@ from sixthsense.sources.walking_space import ScriptedWalk
 _LARGEST = (1 << 63) - 1
 
 
-class RecordError(InputError):
-    """One line that names the file of a run's folder and its line, what was found and what is allowed."""
-
-
 def read_stream(file: Path, config: Config) -> tuple[Trace, bool]:
     """The trace that a `record.jsonl` holds, and whether the run's end is in it.
 
-    The estimates at keyframes are read without their landmarks, which the file does not hold. Raises RecordError for a
+    The estimates at keyframes are read without their landmarks, which the file does not hold. Raises InputError for a
     file that cannot be read, a line that is damaged, and a record without a scan.
     """
     trace: Trace | None = None
@@ -55,12 +51,12 @@ def read_stream(file: Path, config: Config) -> tuple[Trace, bool]:
                     has_ended = _take(table, trace)
             except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
                 found = str(error) if isinstance(error, ValueError) else shown(line)
-                allowed = "allowed: a line of a run's record"
-                raise RecordError(f"{file}: line {number}: found {' '.join(found.split())}, {allowed}") from None
+                allowed = "a line of a run's record"
+                raise InputError(file, f"line {number}: found {' '.join(found.split())}", allowed) from None
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
+        raise InputError(file, f"cannot be read ({error.strerror})") from None
     if trace is None or not trace.stamps_ns:
-        raise RecordError(f"{file}: found no scan, allowed: the record of a run")
+        raise InputError(file, "found no scan", "the record of a run")
     return trace, has_ended
 
 

@@ -45,11 +45,7 @@ def naming(file: Path) -> Iterator[None]:
         raise
 
 
-class FolderError(InputError):
-    """A folder that cannot be written, in one line."""
-
-
-class FolderInUseError(FolderError):
+class FolderInUseError(InputError):
     """A folder that another process is writing."""
 
 
@@ -75,7 +71,7 @@ class FolderLock:
             self._lock.acquire()
         except Timeout:
             raise FolderInUseError(
-                f"--out: found another process that writes {folder}, allowed: another folder, or wait for its end"
+                "out", f"found another process that writes {folder}", "another folder, or wait for its end"
             ) from None
         except OSError as error:
             self._remove_made()

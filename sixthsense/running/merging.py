@@ -29,10 +29,6 @@ _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin unti
 _PAUSE_NS = 1_000_000_000  # between the runs, where the second was recorded earlier
 
 
-class MergeError(InputError):
-    """Two runs that cannot be merged, in one line."""
-
-
 @dataclass(frozen=True, slots=True)
 class Merged(Recorded):
     """Two runs as one log."""
@@ -63,7 +59,7 @@ def _aligning(config: Config) -> Config:
 
 
 def merged_log(first: Recorded, second: Recorded) -> Merged:
-    """The ticks of both runs; raises MergeError if the second is found nowhere in the first.
+    """The ticks of both runs; raises InputError if the second is found nowhere in the first.
 
     The second run is mapped by itself, and what it has seen on its last metres is searched for in the map of the first,
     until it fits one place alone. The step from the end of the first run to the begin of the second has the covariance
@@ -78,8 +74,8 @@ def merged_log(first: Recorded, second: Recorded) -> Merged:
     with Slam(first.config, Pose()) as slam:
         begin = _begin(slam, second.log.ticks, relocalizer)
     if begin is None:
-        found = f"{second.name}: found no place of {first.name} that alone fits what was seen"
-        raise MergeError(f"{found}, allowed: two runs that share a part of one building, in which places differ")
+        found = f"found no place of {first.name} that alone fits what was seen"
+        raise InputError(second.name, found, "two runs that share a part of one building, in which places differ")
     driven_m = relocalizer.driven_m
     sigmas = np.array([_SIGMA_M + _DRIFT_M_PER_M * driven_m] * 2 + [_SIGMA_RAD + _DRIFT_RAD_PER_M * driven_m])
     ticks = (*first.log.ticks, *_going_on(first.log.ticks[-1], second.log.ticks, end.inverse() @ begin, sigmas))
@@ -91,19 +87,19 @@ def merged_log(first: Recorded, second: Recorded) -> Merged:
 
 
 def replay_merged(merged: Merged, folder: RunFolder | None, watch: Watch) -> Run:
-    """Replay a merged log, as `replay_log`; raises MergeError if the second run could not be linked to the first.
+    """Replay a merged log, as `replay_log`; raises InputError if the second run could not be linked to the first.
 
     Nothing is left of the folder then.
     """
 
     def check(trace: Trace) -> None:
         if trace.outcome != "interrupted" and not _are_linked(trace, merged.begin_ns):
-            found = "merge: found no scan of the second run that could be linked to the first"
-            raise MergeError(f"{found}, allowed: two runs that share a part of one building")
+            found = "found no scan of the second run that could be linked to the first"
+            raise InputError("merge", found, "two runs that share a part of one building")
 
     try:
         return replay_log(merged, folder, dataclasses.replace(watch, at_end=check))
-    except MergeError:
+    except InputError:
         if folder is not None:
             shutil.rmtree(folder.partial, ignore_errors=True)
         raise
@@ -118,12 +114,12 @@ def _are_linked(trace: Trace, begin_ns: int) -> bool:
 def _check_lasers(first: Recorded, second: Recorded) -> None:
     for run in (first, second):
         if not run.log.scans:
-            raise MergeError(f"{run.name}: found a run without scans, allowed: runs with scans")
+            raise InputError(run.name, "found a run without scans", "runs with scans")
     one, other = first.config.laser, second.config.laser
     for name in ("beams", "fov"):
         if not np.isclose(getattr(one, name), getattr(other, name)):
-            found = f"{second.name}: found laser.{name} {getattr(other, name):g}"
-            raise MergeError(f"{found}, allowed: {getattr(one, name):g}, as in {first.name}")
+            found = f"found laser.{name} {getattr(other, name):g}"
+            raise InputError(second.name, found, f"{getattr(one, name):g}, as in {first.name}")
 
 
 def _feed(slam: Slam, ticks: Sequence[Tick]) -> None:

@@ -74,8 +74,8 @@ def simulate(
 ) -> Run:
     """Simulate `config.scene`, with `scene` as of `loop.run`, and keep the run in `folder`, if there is one.
 
-    With `prior` the robot begins with the map of an earlier run. Raises SceneError for a scene, start or goal that will
-    not do; ConfigError and PriorMapError for a prior map that will not; OSError, naming the file, for one that cannot
+    With `prior` the robot begins with the map of an earlier run. Raises InputError for a scene, start or goal that will
+    not do; InputError and InputError for a prior map that will not; OSError, naming the file, for one that cannot
     be written.
     """
     from sixthsense.loop import run as loop

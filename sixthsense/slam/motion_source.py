@@ -16,7 +16,8 @@ from typing import Protocol
 
 import numpy as np
 
-from sixthsense.config import AssumedConfig, Config, ConfigError
+from sixthsense.config import AssumedConfig, Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
@@ -340,13 +341,13 @@ class Motion:
 
 
 def make_motion(config: Config, estimator: Estimator) -> Motion:
-    """The configured sources of motion; ConfigError for an estimator that cannot estimate the wheels, if it is to."""
+    """The configured sources of motion; InputError for an estimator that cannot estimate the wheels, if it is to."""
     if config.no_odometry:
         return Motion(None)
     if not config.calibrate_wheels:
         return Motion(ByWheels(config.assumed))
     if not isinstance(estimator, Filter):
-        raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
+        raise InputError("calibrate_wheels", f"found true with {config.estimator}", NEEDS_FILTER)
     prior = wheel_prior(config.assumed)
     estimator.calibrate(prior)
     motion = Motion(CalibratedWheels(config.assumed))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sixthsense.config import Config, ConfigError
+from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
@@ -19,10 +19,6 @@ from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
 
 _SIGMAS = 3.0  # the start may be this far from where it is said to be
-
-
-class PriorMapError(InputError):
-    """A prior map that does not fit what the robot sees, in one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,30 +70,30 @@ class PriorStart(NamedTuple):
 
 
 def begin_with(prior: PriorMap, config: Config, estimator: Estimator, start: Pose, start_cov: Array) -> None:
-    """Give the estimator the landmarks; ConfigError where this configuration or start cannot be used with the map."""
+    """Give the estimator the landmarks; InputError where this configuration or start cannot be used with the map."""
     check_usable(prior, config)
     if not isinstance(estimator, Filter):
-        raise ConfigError(f"estimator: found {config.estimator} with a prior map, allowed: one that has start_from")
+        raise InputError("estimator", f"found {config.estimator} with a prior map", "one that has start_from")
     if len(prior.evidence.cells):
         _check_start(prior, start, start_cov)
     estimator.start_from(prior.landmarks)
 
 
 def check_usable(prior: PriorMap, config: Config) -> None:
-    """Raise ConfigError for a configuration that cannot be used with the map, whatever the start."""
+    """Raise InputError for a configuration that cannot be used with the map, whatever the start."""
     if config.front_end != "landmarks":
-        raise ConfigError(f"front_end: found {config.front_end} with a prior map, allowed: landmarks")
+        raise InputError("front_end", f"found {config.front_end} with a prior map", "landmarks")
     if config.association.proposed_by != "estimate":
-        found = f"association.proposed_by: found {config.association.proposed_by} with a prior map"
-        raise ConfigError(f"{found}, allowed: estimate")
+        found = f"found {config.association.proposed_by} with a prior map"
+        raise InputError("association.proposed_by", found, "estimate")
     if len(prior.evidence.cells) and not math.isclose(prior.cell_m, config.grid.cell_m):
-        found = f"grid.cell_m: found {config.grid.cell_m:g} with a prior map of {prior.cell_m:g} m cells"
-        raise ConfigError(f"{found}, allowed: the same")
+        found = f"found {config.grid.cell_m:g} with a prior map of {prior.cell_m:g} m cells"
+        raise InputError("grid.cell_m", found, "the same")
 
 
 def _check_start(prior: PriorMap, start: Pose, start_cov: Array) -> None:
     seen = (prior.evidence.cells[prior.evidence.seen][:, ::-1] + 0.5) * prior.cell_m  # (N, 2) centres
     reach_m = _SIGMAS * math.sqrt(float(start_cov[:2, :2].trace())) + 2.0 * prior.cell_m
     if not len(seen) or np.hypot(*(seen - start.position).T).min() > reach_m:
-        found = f"pose: found ({start.x:.2f}, {start.y:.2f}), outside the prior map {prior.name}"
-        raise ConfigError(f"{found}, allowed: a place that it has seen")
+        found = f"found ({start.x:.2f}, {start.y:.2f}), outside the prior map {prior.name}"
+        raise InputError("pose", found, "a place that it has seen")

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sixthsense.config import Config, ConfigError
+from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
@@ -21,7 +22,7 @@ class SensorCalibration:
     """Corrects observations for their sensor's errors, and reports the uncertainty of its scale, if configured."""
 
     def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
-        """Raises ConfigError for an estimator that cannot estimate the sensor, if it is to."""
+        """Raises InputError for an estimator that cannot estimate the sensor, if it is to."""
         self._start = start
         self._estimator: Filter | None = None
         """where the sensor is estimated"""
@@ -29,7 +30,7 @@ class SensorCalibration:
         self._scale_variance = 0.0
         if config.calibrate_sensor:
             if not isinstance(estimator, Filter):
-                raise ConfigError(f"calibrate_sensor: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
+                raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
             prior = sensor_prior(config.assumed)
             estimator.calibrate(prior)
             self._estimator = estimator

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from sixthsense.config import Config, ConfigError
+from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.arguments import as_array, as_pose
@@ -66,7 +67,7 @@ class Slam:
         `radius_m` is of the disc that the robot is, by default the configuration's. `clock(stage)` is entered around
         each stage, to measure its time. `prior_map` is of an earlier run in this building, in whose frame the start is.
         Without `draws_map` keyframes are not drawn into the map before `draw_map` or `finish`, which saves time.
-        Raises ConfigError for a configuration or start that it cannot be used with; the first scan raises PriorMapError
+        Raises InputError for a configuration or start that it cannot be used with; the first scan raises InputError
         if it does not fit the map.
         """
         self.config = config = config or Config()
@@ -267,10 +268,10 @@ class Slam:
 def make_front_end(
     config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: Motion, clock: Clock
 ) -> FrontEnd:
-    """The configured front end at `start`, `T_world_robot`; ConfigError for one that the estimator cannot use."""
+    """The configured front end at `start`, `T_world_robot`; InputError for one that the estimator cannot use."""
     if config.front_end == "scan-matching":
         if not isinstance(estimator, Smoother):
-            raise ConfigError(f"front_end: found scan-matching with {config.estimator}, {KEEP_POSES}")
+            raise InputError("front_end", f"found scan-matching with {config.estimator}", KEEP_POSES)
         from sixthsense.slam.scans.front_end import ScanFrontEnd
 
         return ScanFrontEnd(config, estimator, start, motion, clock)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.config import GridConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import transformed_covariance
-from sixthsense.slam.prior_map import PriorMap, PriorMapError
+from sixthsense.slam.prior_map import PriorMap
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.links import WIDE_GATE_M
 from sixthsense.slam.scans.map_views import MapViews
@@ -49,7 +50,7 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     """The pose at which the first scan fits the map, near `pose` (`T_world_robot`) of covariance `cov` (3, 3).
 
     It is the pose itself where that is known well. Otherwise it serves to linearize, since the scan says much more of
-    the pose than a `cov` this large. Raises PriorMapError where the scan does not fit the map, and where it fits two
+    the pose than a `cov` this large. Raises InputError where the scan does not fit the map, and where it fits two
     places.
     """
     returned = (scan.ranges > 0.0) & (scan.ranges < scan.max_range)
@@ -66,8 +67,8 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     _check_share(max((_share(place.both.agreement) for place in places), default=0.0), prior)
     best = max(places, key=lambda place: place.quality)
     if any(other.quality >= _AS_GOOD * best.quality and not other.is_same(best) for other in places):
-        allowed = "allowed: a smaller sigma, or a start from where one scan tells places apart"
-        raise PriorMapError(f"pose_sigma: found two places of {prior.name} that the first scan fits, {allowed}")
+        allowed = "a smaller sigma, or a start from where one scan tells places apart"
+        raise InputError("pose_sigma", f"found two places of {prior.name} that the first scan fits", allowed)
     return Pose.from_array(best.both.pose) @ scan.T_robot_laser.inverse()
 
 
@@ -82,8 +83,8 @@ def _share(agreement: Agreement) -> float:
 
 def _check_share(share: float, prior: PriorMap) -> None:
     if share < _LEAST_SHARE:
-        found = f"prior_map: found {prior.name}, of which the first scan shows {100 * share:.0f} %"
-        raise PriorMapError(f"{found}, allowed: a map of this building, and a start at its place there")
+        found = f"found {prior.name}, of which the first scan shows {100 * share:.0f} %"
+        raise InputError("prior_map", found, "a map of this building, and a start at its place there")
 
 
 def _places(views: MapViews, key: int, laser: Array, cov: Array) -> list[_Place]:

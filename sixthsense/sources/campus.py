@@ -13,7 +13,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sixthsense.config.section import ConfigError, Range, Section
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import Range, Section
 from sixthsense.core.geometry import Array
 
 _MOST_BLOCKS = 400
@@ -44,7 +45,7 @@ class Campus(Section):
         super().__post_init__()
         if self.blocks[0] * self.blocks[1] > _MOST_BLOCKS:
             found = f"{self.blocks[0]} x {self.blocks[1]}"
-            raise ConfigError(f"blocks: found {found}, allowed: at most {_MOST_BLOCKS} in all")
+            raise InputError("blocks", f"found {found}", f"at most {_MOST_BLOCKS} in all")
 
 
 def campus_walls(campus: Campus) -> Array:

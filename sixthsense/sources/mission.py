@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.random_streams import random_streams
-from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene
+from sixthsense.sources.scene import Scene, check_placement, load_scene
 from sixthsense.sources.walkers import Walkers, walkers_of
 from sixthsense.sources.world import World
 
@@ -43,7 +44,7 @@ class Mission(NamedTuple):
 def mission_of(config: Config, scene: Scene | None = None) -> tuple[Config, Mission]:
     """The mission in `config.scene`, which is `scene` if it is loaded already; the configuration with its people.
 
-    Raises SceneError for a scene that cannot be loaded, and as `mission`.
+    Raises InputError for a scene that cannot be loaded, and as `mission`.
     """
     scene = scene or load_scene(config.scene, config.map_unknown)
     config = with_people(scene, config)
@@ -53,23 +54,21 @@ def mission_of(config: Config, scene: Scene | None = None) -> tuple[Config, Miss
 def mission(scene: Scene, config: Config) -> Mission:
     """The task of a configuration in a scene, which has what the configuration does not say.
 
-    Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, for a
+    Raises InputError, naming the field, for a place that is missing, outside the region or too close to a wall, for a
     goal that no way leads to, for a start outside region and building from which the laser reaches no wall, and for
     more walkers than fit in.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
     if config.task == "goal" and goal is None:
-        raise SceneError(f"goal: missing, the scene {scene.name} has none of its own, allowed: x y")
+        raise InputError("goal", f"missing, the scene {scene.name} has none of its own", "x y")
     tour = (config.tour or scene.tour) if config.task == "tour" else ()
     if config.task == "tour" and not tour:
-        raise SceneError(f"tour: missing, the scene {scene.name} has none of its own, allowed: x y x y ...")
+        raise InputError("tour", f"missing, the scene {scene.name} has none of its own", "x y x y ...")
     if config.task != "tour" and config.tour is not None:
-        raise SceneError(f"tour: found {len(config.tour)} goals with task {config.task}, allowed: with task tour")
+        raise InputError("tour", f"found {len(config.tour)} goals with task {config.task}", "with task tour")
     if config.task == "explore" and config.goal is not None:
-        raise SceneError(
-            f"goal: found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore, allowed: with task goal"
-        )
+        raise InputError("goal", f"found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore", "with task goal")
     if config.task != "goal":
         goal = None
     start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
@@ -90,13 +89,13 @@ def with_people(scene: Scene, config: Config) -> Config:
 
 
 def _check_ways(scene: Scene, start: Pose, goals: Array, radius_m: float, field: str) -> None:
-    """Raise SceneError for a goal that no way leads to from the start, as in a shaft without a door."""
+    """Raise InputError for a goal that no way leads to from the start, as in a shaft without a door."""
     if not len(goals):
         return
     for (x, y), is_connected in zip(goals, connected(scene.solid, start.position, goals, radius_m), strict=True):
         if not is_connected:
-            found = f"{field}: found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
-            raise SceneError(f"{found}, allowed: a place that a robot of radius {radius_m:g} m can drive to")
+            found = f"found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
+            raise InputError(field, found, f"a place that a robot of radius {radius_m:g} m can drive to")
 
 
 def connected(walls: Array, start: Array, goals: Array, radius_m: float) -> NDArray[np.bool_]:
@@ -120,7 +119,7 @@ def connected(walls: Array, start: Array, goals: Array, radius_m: float) -> NDAr
 
 
 def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:
-    """Raise SceneError for a start outside the bounds of the walls and farther than `range_m` from all of them.
+    """Raise InputError for a start outside the bounds of the walls and farther than `range_m` from all of them.
 
     A start within the bounds may see no wall, in a hall that is larger than the laser's range.
     """
@@ -128,7 +127,8 @@ def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:
     place = np.array([start.x, start.y])
     distance_m = float(point_segment_distance(place, scene.walls).min())
     if distance_m > range_m and ((place < low) | (place > high)).any():
-        raise SceneError(
-            f"start: found ({start.x:g}, {start.y:g}), outside the building and {distance_m:.3g} m from its nearest "
-            f"wall, allowed: at most the laser's range {range_m:g} m"
+        raise InputError(
+            "start",
+            f"found ({start.x:g}, {start.y:g}), outside the building and {distance_m:.3g} m from its nearest wall",
+            f"at most the laser's range {range_m:g} m",
         )

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sixthsense.config import Config, ConfigError, load_config, merge
+from sixthsense.config import Config, load_config, merge
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
 from sixthsense.config.names import OF_THE_ROBOT
 from sixthsense.sources.logs import kind_of
-from sixthsense.sources.logs.text_lines import LogError
-from sixthsense.sources.scene import Scene, SceneError, load_scene
+from sixthsense.sources.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log, Relations
@@ -50,7 +50,7 @@ def recorded_scene(log: Log, config: Config) -> Scene | None:
         return None
     try:
         return load_scene(config.scene, config.map_unknown)
-    except SceneError:
+    except InputError:
         return None  # the record outlives the file
 
 
@@ -77,51 +77,47 @@ class Chosen(NamedTuple):
     """of a bag or a CARMEN log that has others than metres and radians, such as `ranges=mm`"""
 
 
-def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Chosen, prefix: str = "") -> None:
-    """Raise ConfigError for given fields (nested) and options that do not apply to this kind of log.
-
-    `prefix` precedes field names in messages, such as -- on the command line.
-    """
+def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Chosen) -> None:
+    """Raise InputError for given fields (nested) and options that do not apply to this kind of log."""
     robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
     for name in (*OF_THE_ROBOT, *sorted(robot)):
         if name in fields or name in robot:
             allowed = "options of the estimate, not of the recorded robot"
-            raise ConfigError(f"{prefix}{name}: found on replay, allowed: {allowed}")
+            raise InputError(name, "found on replay", allowed)
     if log is None:
         return
     kind = kind_of(Path(log))
-    frames, no_odometry = (name if prefix else name.replace("-", "_") for name in ("odometry-frames", "no-odometry"))
-    refused: list[tuple[str, str]] = []
+    refused: list[tuple[str, str, str]] = []
     if kind != "bag":
-        given = (("topic", chosen.topics), (frames, chosen.odometry_frames))
-        refused += [(name, "a log that is not a ROS bag, allowed: on a bag") for name, value in given if value]
+        given = (("topics", chosen.topics), ("odometry_frames", chosen.odometry_frames))
+        refused += [(name, "a log that is not a ROS bag", "on a bag") for name, value in given if value]
     if kind not in ("bag", "carmen") and chosen.units:
-        refused.append(("units", "a log that is not a ROS bag or a CARMEN log, allowed: on one of these"))
+        refused.append(("units", "a log that is not a ROS bag or a CARMEN log", "on one of these"))
     if kind == "run" and "preset" in fields:
-        refused.append(("preset", "a run folder, allowed: single fields over its config.toml"))
+        refused.append(("preset", "a run folder", "single fields over its config.toml"))
     if kind in ("run", "bag"):
-        where = f"a bag, which describes its laser, allowed: {prefix}laser.mount"
-        refused += [(f"laser.{name}", where) for name in fields.get("laser", {}) if name != "mount"]
+        where = "a bag, which describes its laser"
+        refused += [(f"laser.{name}", where, "`laser.mount`") for name in fields.get("laser", {}) if name != "mount"]
     if kind != "mrclam" and chosen.robot is not None:
-        refused.append(("robot", "a log that is not a MRCLAM folder, allowed: on a MRCLAM folder"))
+        refused.append(("robot", "a log that is not a MRCLAM folder", "on a MRCLAM folder"))
     if kind in ("graph", "mrclam"):
-        where = "a log that {}, allowed: on a log of scans"
-        if fields.get("no_odometry", fields.get("no-odometry")):
-            refused.append((no_odometry, where.format("has landmarks and no scans")))
+        where, scans = "a log that {}", "on a log of scans"
+        if fields.get("no_odometry"):
+            refused.append(("no_odometry", where.format("has landmarks and no scans"), scans))
         for section in ("laser", "keyframes", "features", "grid", *(["assumed"] if kind == "graph" else [])):
             has = "contains its own noise" if section == "assumed" else "has landmarks and no scans"
-            refused += [(f"{section}.{name}", where.format(has)) for name in fields.get(section, {})]
-    for name, where in refused:
-        raise ConfigError(f"{prefix}{name}: found on {where}")
+            refused += [(f"{section}.{name}", where.format(has), scans) for name in fields.get(section, {})]
+    for name, where, allowed in refused:
+        raise InputError(name, f"found on {where}", allowed)
 
 
 def check_out(log: str | Path, out: Path | None) -> None:
-    """Raise ConfigError for an output folder that would overwrite the log."""
+    """Raise InputError for an output folder that would overwrite the log."""
     if out is not None:
         partial = absolute(out.with_name((out.name or "run") + ".partial"))
         path = absolute(log)
         if partial in (path, *path.parents):
-            raise ConfigError(f"--out: found {out}, whose .partial is the log itself, allowed: another folder")
+            raise InputError("out", f"found {out}, whose .partial is the log itself", "another folder")
 
 
 def open_recorded(
@@ -134,7 +130,7 @@ def open_recorded(
     """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
 
     `stated` names the fields of `config.laser` that take precedence over the log even at their defaults. Raises
-    LogError for an invalid file, and for relations none of which has stamps of scans.
+    InputError for an invalid file, and for relations none of which has stamps of scans.
     """
     from sixthsense.sources.logs import open_log
     from sixthsense.sources.logs.log import read_relations
@@ -143,7 +139,7 @@ def open_recorded(
     chosen = chosen or Chosen()
     topics, robot, frames, units = chosen
     if topics:
-        files["topic"] = ",".join(topics)
+        files["topics"] = ",".join(topics)
     if frames:
         files["odometry_frames"] = ",".join(frames)
     if units:
@@ -192,7 +188,7 @@ def of_log(config: Config, log: Log) -> Config:
 def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) -> Relations:
     """The relations between scans of a log, with the stamps of these; how many there are is said in `notes`.
 
-    The scan of a stamp is the nearest within half a period. Raises LogError where no relation is left.
+    The scan of a stamp is the nearest within half a period. Raises InputError where no relation is left.
     """
     import numpy as np
 
@@ -204,9 +200,10 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
     known = (rows >= 0).all(axis=1) & ((rows[:, 0] != rows[:, 1]) | (relations.stamps[:, 0] == relations.stamps[:, 1]))
     if not known.any():
         first = relations.stamps[0, 0]
-        raise LogError(
-            f"{name}: found no relation between scans of the log (the first is of {first:.6f}), allowed: "
-            "stamps of scans of the log"
+        raise InputError(
+            name,
+            f"found no relation between scans of the log (the first is of {first:.6f})",
+            "stamps of scans of the log",
         )
     of_scans = stamps[rows[known]]
     off_s = float(np.abs(of_scans - relations.stamps[known]).max())

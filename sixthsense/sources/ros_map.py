@@ -13,10 +13,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import reason_of
-from sixthsense.config.section import ConfigError, Range, Section
+from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.section import Range, Section
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.sources.scene_files import Coordinate, SceneError, check_count, read_floats, read_section, read_text
+from sixthsense.sources.scene_files import Coordinate, check_count, read_floats, read_section, read_text
 
 MAX_PIXELS = 100_000_000
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF")
@@ -54,7 +54,7 @@ class _Map(Section):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 < len(self.image) <= _LONGEST_NAME:
-            raise ConfigError(f"image: found a name of {len(self.image)} characters, allowed: the name of a file")
+            raise InputError("image", f"found a name of {len(self.image)} characters", "the name of a file")
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
@@ -65,7 +65,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     `occupied_thresh` alone. The pixel's value is the mean over the image's channels, alpha included in mode trinary, as
     in Nav2's map_server, whose rules hold but for one: in mode trinary a pixel of 205 beside some of 254 is unknown
     whatever `free_thresh` is, since map_saver has written it so. Fields of other programs are ignored. Raises
-    SceneError, without the map file's name, for a field that is missing or not allowed, and for an image that is
+    InputError, without the map file's name, for a field that is missing or not allowed, and for an image that is
     missing, damaged, huge, entirely free or entirely solid.
     """
     table = _read_yaml(file)
@@ -101,9 +101,9 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     if stated.mode == "scale":
         occupied = np.where(is_transparent, unknown == "wall", occupied)
     if not occupied.any():
-        raise SceneError(f"{image}: found no occupied pixel, allowed: at least one above occupied_thresh")
+        raise InputError(image, "found no occupied pixel", "at least one above occupied_thresh")
     if occupied.all():
-        raise SceneError(f"{image}: found no free pixel, allowed: at least one below free_thresh")
+        raise InputError(image, "found no free pixel", "at least one below free_thresh")
     solid = occupied[::-1]  # the image's first row is the map's top
     beyond = int(unknown == "wall" and _is_cut_off(solid))
     cells, cell_ends = outline_corners(np.pad(solid, beyond, constant_values=True))
@@ -127,15 +127,15 @@ def _read_yaml(file: Path) -> Any:
 
     text = read_text(file)
     if len(text) > _LONGEST:
-        raise SceneError(f"found over {_LONGEST} characters, allowed: the fields of a map")
+        raise InputError("", f"found over {_LONGEST} characters", "the fields of a map")
     depth = itertools.accumulate(1 if letter in "[{" else -1 for letter in text if letter in "[]{}")
     if max(depth, default=0) > _DEEPEST:
-        raise SceneError(f"found lists over {_DEEPEST} deep, allowed: the fields of a map")
+        raise InputError("", f"found lists over {_DEEPEST} deep", "the fields of a map")
     try:
         # The base loader keeps every value as text, so that 5e-2 is read as a number, as in map_server.
         return yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, RecursionError) as error:
-        raise SceneError(f"is not YAML ({reason_of(error, _LONGEST_REASON)})") from None
+        raise InputError("", f"is not YAML ({reason_of(error, _LONGEST_REASON)})") from None
 
 
 def _read_value(key: Any, text: Any) -> Any:
@@ -153,14 +153,14 @@ def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArra
 
     try:
         if path.exists() and not path.is_file():
-            raise SceneError(f"{path}: is a folder, a pipe or a device, allowed: an image file")
+            raise InputError(path, "is a folder, a pipe or a device", "an image file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(path, formats=_FORMATS)
         with image:
             width, height = image.size
             if width * height > MAX_PIXELS:
-                raise SceneError(f"{path}: found {width} x {height} pixels, allowed: {MAX_PIXELS:,} in all")
+                raise InputError(path, f"found {width} x {height} pixels", f"{MAX_PIXELS:,} in all")
             if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
                 grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
                 return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_)
@@ -171,16 +171,16 @@ def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArra
             pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
             is_transparent = pixels[:, :, -1] < 255 if alpha else np.zeros(pixels.shape[:2], dtype=np.bool_)
             return pixels if with_alpha else pixels[:, :, :3], is_transparent
-    except SceneError:
+    except InputError:
         raise
     except Image.DecompressionBombError:
-        raise SceneError(f"{path}: found a huge image, allowed: {MAX_PIXELS:,} pixels in all") from None
+        raise InputError(path, "found a huge image", f"{MAX_PIXELS:,} pixels in all") from None
     except FileNotFoundError:
-        raise SceneError(f"{path}: no such image file") from None
+        raise InputError(path, "no such image file") from None
     except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
         # strerror omits the file's name
         reason = (isinstance(error, OSError) and error.strerror) or reason_of(error, _LONGEST_REASON)
-        raise SceneError(f"{path}: not a readable image ({reason}), allowed: {', '.join(_FORMATS)}") from None
+        raise InputError(path, f"not a readable image ({reason})", f"{', '.join(_FORMATS)}") from None
 
 
 def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

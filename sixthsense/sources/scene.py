@@ -15,13 +15,13 @@ from typing import Literal
 
 import numpy as np
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import parse_toml
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene_files import (
     Point,
     Region,
-    SceneError,
     check_count,
     check_keys,
     read_each,
@@ -39,7 +39,7 @@ from sixthsense.sources.scene_files import (
 )
 from sixthsense.sources.walking_space import ScriptedWalk, check_walks, read_walks
 
-__all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
+__all__ = ["InputError", "Scene", "check_placement", "load_scene", "shipped_scenes"]
 
 _SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass", "campus", "walkers")
 _OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
@@ -76,10 +76,10 @@ class Scene:
     def __post_init__(self) -> None:
         walls = np.array(self.walls, dtype=np.float64)
         if walls.ndim != 3 or walls.shape[1:] != (2, 2) or len(walls) == 0:
-            raise SceneError(f"walls: expected shape (N, 2, 2) with N > 0, got {walls.shape}")
+            raise InputError("walls", f"expected shape (N, 2, 2) with N > 0, got {walls.shape}")
         glass = np.array(self.glass, dtype=np.float64)
         if glass.ndim != 3 or glass.shape[1:] != (2, 2):
-            raise SceneError(f"glass: expected shape (G, 2, 2), got {glass.shape}")
+            raise InputError("glass", f"expected shape (G, 2, 2), got {glass.shape}")
         for name, segments in (("walls", walls), ("glass", glass)):
             segments.flags.writeable = False
             object.__setattr__(self, name, segments)
@@ -95,7 +95,7 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
 
     `map_unknown` is what the unknown cells of a map_server map are.
 
-    Raises SceneError, one line, for an unknown name (with the known ones), and for a field that is missing, misspelt,
+    Raises InputError, one line, for an unknown name (with the known ones), and for a field that is missing, misspelt,
     not finite, or places the robot in a wall or outside the region.
     """
     path = scene_file(name_or_file)
@@ -110,8 +110,8 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
         walls, notes = read_map(path, map_unknown)
         bounds = _bounds(walls)
         return Scene(path.stem, walls, None, DEFAULT_ROBOT_RADIUS_M, None, (), bounds, solid_left=True, notes=notes)
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
+    except InputError as error:
+        raise error.within(path) from None
 
 
 def check_placement(
@@ -125,7 +125,7 @@ def check_placement(
     """Check a start, a goal and a tour against the walls of a loaded scene, and return the start.
 
     `start` (x, y, theta), `region` (x0, y0, x1, y1) and `radius` default to those of the scene (None, None, 0);
-    `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises SceneError, one line naming the
+    `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises InputError, one line naming the
     field, for a missing start, a place where the disc of `radius` touches a wall, a goal outside the region, a region
     with reversed corners, a radius that is not positive, and numbers that are not finite.
     """
@@ -134,7 +134,7 @@ def check_placement(
     if start is None:
         start = scene.start
     if start is None:
-        raise SceneError(f"start: missing, the scene {scene.name} has none of its own, allowed: x y theta")
+        raise InputError("start", f"missing, the scene {scene.name} has none of its own", "x y theta")
     values = (start.x, start.y, start.theta) if isinstance(start, Pose) else start
     x, y, theta = read_numbers("start", values, "x y theta")
     _check_clear("start", (x, y), scene, radius)
@@ -153,7 +153,7 @@ def _from_toml(path: Path) -> Scene:
     try:
         table = parse_toml(text)
     except ValueError as error:
-        raise SceneError(str(error)) from None
+        raise InputError("", str(error)) from None
     check_keys("", table, _SCENE_KEYS, ("start", "radius"))
     segments = read_each("walls", table.get("walls", []), read_wall)
     segments += itertools.chain(*read_each("polygons", table.get("polygons", []), read_polygon))
@@ -162,7 +162,7 @@ def _from_toml(path: Path) -> Scene:
 
         segments += campus_walls(read_section("campus", table["campus"], Campus)).tolist()
     if not segments:
-        raise SceneError("walls: found none, allowed: at least one wall, polygon or campus")
+        raise InputError("walls", "found none", "at least one wall, polygon or campus")
     walls, glass = np.array(segments), read_each("glass", table.get("glass", []), read_wall)
     region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
     tour = tuple(read_each("tour", table.get("tour", []), read_point))
@@ -188,12 +188,12 @@ def _from_toml(path: Path) -> Scene:
 def _from_scn(path: Path) -> Scene:
     rows = [(k, line.split()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
     if not rows:
-        raise SceneError("line 1: missing, allowed: x y theta radius")
+        raise InputError("line 1", "missing", "x y theta radius")
     number, words = rows[0]
     x, y, theta, radius = read_numbers(f"line {number}", read_floats(words), "x y theta radius")
     check_count("walls", len(rows) - 1)
     if len(rows) == 1:
-        raise SceneError(f"line {number + 1}: missing, allowed: at least one wall x1 y1 x2 y2")
+        raise InputError(f"line {number + 1}", "missing", "at least one wall x1 y1 x2 y2")
     walls = np.array([read_wall(f"line {number}", read_floats(words)) for number, words in rows[1:]])
     radius = read_positive(f"line {number}, radius", radius)
     scene = Scene(path.stem, walls, Pose(x, y, theta), radius, None, (), _bounds(walls))
@@ -204,26 +204,24 @@ def _from_scn(path: Path) -> Scene:
 def _bounds(walls: Array) -> Region:
     low, high = walls.min(axis=(0, 1)), walls.max(axis=(0, 1))
     if not (low < high).all():
-        raise SceneError("walls: all on one line, allowed: walls that bound an area, or a region")
+        raise InputError("walls", "all on one line", "walls that bound an area, or a region")
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def _check_inside(where: str, point: Point, region: Region) -> None:
     (x, y), (x0, y0, x1, y1) = point, region
     if not (x0 <= x <= x1 and y0 <= y <= y1):
-        raise SceneError(
-            f"{where}: found ({x:g}, {y:g}), outside the region, allowed: x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
-        )
+        raise InputError(where, f"found ({x:g}, {y:g}), outside the region", f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g}")
 
 
 def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
     distance = float(point_segment_distance(np.array(point), scene.solid).min())
-    found = f"{where}: found ({point[0]:g}, {point[1]:g}),"
+    found = f"found ({point[0]:g}, {point[1]:g}),"
     if distance < radius:
-        raise SceneError(f"{found} {distance:.3g} m from a wall, allowed: at least the robot's radius {radius:g} m")
+        raise InputError(where, f"{found} {distance:.3g} m from a wall", f"at least the robot's radius {radius:g} m")
     if scene.solid_left:
         ends = scene.walls - np.array(point)  # (N, 2, 2)
         cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
         turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
         if turns > 0.5:
-            raise SceneError(f"{found} inside a wall, {distance:.3g} m deep, allowed: a free place")
+            raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", "a free place")

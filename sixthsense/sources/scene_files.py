@@ -12,8 +12,8 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from sixthsense.config.errors import InputError, allowed_names, nearest
-from sixthsense.config.section import ConfigError, Range, Section, shown, shown_name
+from sixthsense.config.errors import InputError, nearest
+from sixthsense.config.section import Range, Section, shown, shown_name
 
 T = TypeVar("T")
 S = TypeVar("S", bound=Section)
@@ -30,10 +30,6 @@ _SHORTEST_WALL_M = 1e-6
 Coordinate = Annotated[float, Range(-_LIMIT_M, _LIMIT_M)]
 
 
-class SceneError(InputError):
-    """One line that names the file, the field or line, what was found and what is allowed."""
-
-
 def shipped_scenes() -> dict[str, Path]:
     """The files of the shipped scenes by name, in alphabetical order."""
     package = Path(__file__).resolve().parents[1]
@@ -43,59 +39,59 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def scene_file(name_or_file: str | Path) -> Path:
-    """The file of a shipped scene, or the file itself; SceneError for a name that is neither, with the known ones."""
+    """The file of a shipped scene, or the file itself; InputError for a name that is neither, with the known ones."""
     shipped = shipped_scenes()
     path = shipped.get(str(name_or_file), Path(name_or_file))
     if path.suffix.lower() not in SUFFIXES:
         found = str(name_or_file)
-        allowed = allowed_names(shipped, nearest(found, shipped), f", or a file ending in {', '.join(SUFFIXES)}")
-        raise SceneError(f"scene: found {shown(found)}, {allowed}")
+        allowed = f"{', '.join(shipped)}, or a file ending in {', '.join(SUFFIXES)}"
+        raise InputError("scene", f"found {shown(found)}", allowed, nearest(found, shipped))
     return path
 
 
 def read_text(path: Path) -> str:
-    """The text of a UTF-8 file; SceneError, without the file's name, if it cannot be read or is not text."""
+    """The text of a UTF-8 file; InputError, without the file's name, if it cannot be read or is not text."""
     try:
         if path.is_fifo():  # reading from it may block forever
-            raise SceneError("is a pipe, allowed: a text file")
+            raise InputError("", "is a pipe", "a text file")
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST + 1)
     except OSError as error:
-        raise SceneError(f"cannot be read ({error.strerror or error})") from None
+        raise InputError("", f"cannot be read ({error.strerror or error})") from None
     except UnicodeDecodeError as error:
-        raise SceneError(f"byte {error.start} is not UTF-8, allowed: a text file") from None
+        raise InputError("", f"byte {error.start} is not UTF-8", "a text file") from None
     if len(text) > _LONGEST:
-        raise SceneError(f"found over {_LONGEST} characters, allowed: a scene")
+        raise InputError("", f"found over {_LONGEST} characters", "a scene")
     return text
 
 
 def check_count(where: str, found: int, reason: str = "") -> None:
-    """Raise SceneError for more walls than a simulation can do with."""
+    """Raise InputError for more walls than a simulation can do with."""
     if found > MAX_WALLS:
-        raise SceneError(f"{where}: found {found:,} walls or more, allowed: at most {MAX_WALLS:,}{reason}")
+        raise InputError(where, f"found {found:,} walls or more", f"at most {MAX_WALLS:,}{reason}")
 
 
 def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
-    """Raise SceneError for the first key of `table` that is unknown, or of `required` that is missing."""
+    """Raise InputError for the first key of `table` that is unknown, or of `required` that is missing."""
     for key in table:
         if key not in known:
-            raise SceneError(f"{where}{shown_name(key)}: no such field, {allowed_names(known, nearest(key, known))}")
+            raise InputError(f"{where}{shown_name(key)}", "no such field", ", ".join(known), nearest(key, known))
     for key in required:
         if key not in table:
-            raise SceneError(f"{where}{key}: missing, required are {', '.join(required)}")
+            raise InputError(f"{where}{key}", f"missing, required are {', '.join(required)}")
 
 
 def read_section(where: str, table: Any, kind: type[S]) -> S:
     """A table as a section of this kind, whose fields without a default are required."""
     known = {f.name: f.default is MISSING for f in fields(kind)}  # type: ignore[arg-type]
     if not isinstance(table, dict):
-        raise SceneError(f"{where}{': ' * bool(where)}found {shown(table)}, allowed: a table with {', '.join(known)}")
+        raise InputError(where, f"found {shown(table)}", f"a table with {', '.join(known)}")
     prefix = f"{where}, " if where else ""
     check_keys(prefix, table, list(known), [name for name, is_required in known.items() if is_required])
     try:
         return kind(**table)
-    except ConfigError as error:
-        raise SceneError(f"{prefix}{error}") from None
+    except InputError as error:
+        raise error.at(f"{prefix}{error.where}") from None
 
 
 def read_floats(words: Iterable[Any]) -> list[Any]:
@@ -112,7 +108,7 @@ def read_floats(words: Iterable[Any]) -> list[Any]:
 def read_each(where: str, values: Any, read: Callable[[str, Any], T]) -> list[T]:
     """The entries of a list, each by `read`, which takes the entry's name for messages and its value."""
     if not isinstance(values, list):
-        raise SceneError(f"{where}: found {shown(values)}, allowed: a list")
+        raise InputError(where, f"found {shown(values)}", "a list")
     return [read(f"{where}, entry {k}", value) for k, value in enumerate(values, 1)]
 
 
@@ -123,9 +119,7 @@ def read_numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
     found: list[Any] = list(values) if is_list else []
     is_number = all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in found)
     if len(found) != count or not is_number or not all(abs(v) <= _LIMIT_M for v in found):  # true for NaN
-        raise SceneError(
-            f"{where}: found {shown(values)}, allowed: {count} numbers ({names}), none beyond {_LIMIT_M:.0e}"
-        )
+        raise InputError(where, f"found {shown(values)}", f"{count} numbers ({names}), none beyond {_LIMIT_M:.0e}")
     return tuple(float(v) for v in found)
 
 
@@ -133,7 +127,7 @@ def read_positive(where: str, value: Any) -> float:
     """A length above 0."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not usable or not 0.0 < value <= _LIMIT_M:
-        raise SceneError(f"{where}: found {shown(value)}, allowed: a number above 0, metres")
+        raise InputError(where, f"found {shown(value)}", "a number above 0, metres")
     return float(value)
 
 
@@ -147,7 +141,7 @@ def read_region(where: str, values: Any) -> Region:
     """Four finite numbers, x0 y0 x1 y1, corners in order."""
     x0, y0, x1, y1 = read_numbers(where, values, "x0 y0 x1 y1")
     if not (x0 < x1 and y0 < y1):
-        raise SceneError(f"{where}: found [{x0:g}, {y0:g}, {x1:g}, {y1:g}], allowed: x0 < x1 and y0 < y1")
+        raise InputError(where, f"found [{x0:g}, {y0:g}, {x1:g}, {y1:g}]", "x0 < x1 and y0 < y1")
     return x0, y0, x1, y1
 
 
@@ -155,7 +149,7 @@ def read_wall(where: str, values: Any) -> list[Point]:
     """The two ends of a wall of positive length."""
     x1, y1, x2, y2 = read_numbers(where, values, "x1 y1 x2 y2")
     if math.hypot(x2 - x1, y2 - y1) < _SHORTEST_WALL_M:
-        raise SceneError(f"{where}: found a wall of no length at ({x1:g}, {y1:g}), allowed: two different ends")
+        raise InputError(where, f"found a wall of no length at ({x1:g}, {y1:g})", "two different ends")
     return [(x1, y1), (x2, y2)]
 
 
@@ -172,6 +166,6 @@ def read_polygon(where: str, table: Any) -> list[list[Point]]:
     found = read_section(where, table, _Polygon)
     points, least = found.points, 3 if found.closed else 2
     if len(points) < least:
-        raise SceneError(f"{where}, points: found {len(points)}, allowed: at least {least}")
+        raise InputError(f"{where}, points", f"found {len(points)}", f"at least {least}")
     ends = [*points[1:], points[0]] if found.closed else points[1:]
     return [read_wall(f"{where}, side {k}", [*a, *b]) for k, (a, b) in enumerate(zip(points, ends, strict=False), 1)]

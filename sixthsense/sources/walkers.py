@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config, WorldConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.random_streams import random_streams
-from sixthsense.sources.scene import Scene, SceneError
+from sixthsense.sources.scene import Scene
 from sixthsense.sources.walking_space import BODY_M, Cells, ScriptedWalk, WalkingSpace
 
 LEG_M = 0.06
@@ -81,7 +82,7 @@ class Walkers:
     ) -> None:
         """Those of the scene, and as many as are configured, seeded; the robot is a disc of `radius_m` at `start`.
 
-        Raises SceneError for more than there is room for.
+        Raises InputError for more than there is room for.
         """
         self._space = space = WalkingSpace(scene.solid, scene.region)
         self._blind, self._contact_m = config.walkers_blind, radius_m + BODY_M
@@ -91,9 +92,10 @@ class Walkers:
         places = [np.array(walk.points[0]) for walk in scene.walkers]
         found = _places(space.centres(np.argwhere(around)), [start.position, *places], config.walkers, rng)
         if len(found) < config.walkers:
-            raise SceneError(
-                f"world.walkers: found {config.walkers}, allowed: at most {len(found)}, for whom there is room in "
-                f"{scene.name}"
+            raise InputError(
+                "world.walkers",
+                f"found {config.walkers}",
+                f"at most {len(found)}, for whom there is room in {scene.name}",
             )
         self._people = [_Walker(_rounds(walk), walk.speed, walk.pause_s(0), _NOWHERE) for walk in scene.walkers]
         for _ in found:

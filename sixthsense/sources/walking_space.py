@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sixthsense.config.section import ConfigError, Range, Section
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import Range, Section
 from sixthsense.core.geometry import Array
-from sixthsense.sources.scene_files import Coordinate, Region, SceneError, read_each, read_section
+from sixthsense.sources.scene_files import Coordinate, Region, read_each, read_section
 
 BODY_M = 0.25
 """radius of the disc that a person's body is"""
@@ -189,7 +190,7 @@ class ScriptedWalk(Section):
         super().__post_init__()
         if self.pauses is not None and len(self.pauses) != len(self.points):
             allowed = f"a time for each of the {len(self.points)} way points"
-            raise ConfigError(f"pauses: found {len(self.pauses)}, allowed: {allowed}")
+            raise InputError("pauses", f"found {len(self.pauses)}", allowed)
 
     def pause_s(self, k: int) -> float:
         """The pause at way point k."""
@@ -197,15 +198,15 @@ class ScriptedWalk(Section):
 
 
 def read_walks(tables: Any) -> tuple[ScriptedWalk, ...]:
-    """The tables `walkers` of a scene; SceneError that names the field."""
+    """The tables `walkers` of a scene; InputError that names the field."""
     walks = read_each("walkers", tables, functools.partial(read_section, kind=ScriptedWalk))
     if len(walks) > _MOST_WALKS:
-        raise SceneError(f"walkers: found {len(walks)}, allowed: at most {_MOST_WALKS}")
+        raise InputError("walkers", f"found {len(walks)}", f"at most {_MOST_WALKS}")
     return tuple(walks)
 
 
 def check_walks(walks: Sequence[ScriptedWalk], solid: Array, region: Region) -> None:
-    """Raise SceneError for a way point in a wall or outside the region, and for two between which no way leads."""
+    """Raise InputError for a way point in a wall or outside the region, and for two between which no way leads."""
     if not walks:
         return
     space = WalkingSpace(solid, region)
@@ -215,10 +216,10 @@ def check_walks(walks: Sequence[ScriptedWalk], solid: Array, region: Region) -> 
             if not free:
                 found = f"({point[0]:g}, {point[1]:g}), in a wall or outside the region"
                 allowed = f"a place with room for a body of {BODY_M:g} m"
-                raise SceneError(f"walkers, entry {k}, point {number}: found {found}, allowed: {allowed}")
+                raise InputError(f"walkers, entry {k}, point {number}", f"found {found}", allowed)
         for number, (a, b) in enumerate(zip(points, np.roll(points, -1, axis=0), strict=True), 1):
             if space.way(a, b) is None:
                 there = f"from ({a[0]:g}, {a[1]:g}) to ({b[0]:g}, {b[1]:g})"
-                raise SceneError(
-                    f"walkers, entry {k}, point {number}: found no way {there}, allowed: points that ways join"
+                raise InputError(
+                    f"walkers, entry {k}, point {number}", f"found no way {there}", "points that ways join"
                 )

@@ -1,4 +1,4 @@
-"""The live view in Rerun, and what `--view` accepts."""
+"""The live view in Rerun, and what it accepts as a target."""
 
 from pathlib import Path
 

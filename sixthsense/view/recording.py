@@ -31,7 +31,7 @@ class View:
         """Show the run at a `place`: "window", "browser" or an .rrd file, which is overwritten.
 
         The server for browsers is bound to `address`, by default the loopback. Everybody who can reach the address can
-        watch, so choose another one only in a trusted network. Usage statistics are off. Raises ViewError for an
+        watch, so choose another one only in a trusted network. Usage statistics are off. Raises InputError for an
         unknown place, without Rerun, and for a window without a display.
         """
         check_view_target(place, address)

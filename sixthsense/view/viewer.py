@@ -30,33 +30,29 @@ _TIMEOUT_S = 60.0
 _GET_ADDRESS = 0x8915  # SIOCGIFADDR of Linux
 
 
-class ViewError(InputError):
-    """A view that cannot be opened; its message is one line."""
-
-
 def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:
-    """Raise ViewError for an unknown target, a window without a display, or an invalid address.
+    """Raise InputError for an unknown target, a window without a display, or an invalid address.
 
     Without Rerun the error says how to install it.
     """
     if not is_view_target(str(target)):
-        raise ViewError(f"--view: found {shown(str(target))}, allowed: {VIEW_TARGETS}")
+        raise InputError("view", f"found {shown(str(target))}", VIEW_TARGETS)
     try:
         ipaddress.ip_address(address)
     except ValueError:
-        raise ViewError(f"--bind: found {shown(address)}, allowed: an IP address of this machine") from None
+        raise InputError("bind", f"found {shown(address)}", "an IP address of this machine") from None
     if find_spec("rerun") is None:
-        raise ViewError("--view: needs Rerun, which is not installed, allowed: after pip install 'sixthsense[view]'")
+        raise InputError("view", "needs Rerun, which is not installed", "after pip install 'sixthsense[view]'")
     on_linux = sys.platform.startswith("linux")
     if str(target) == "window" and on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewError("--view: found window, but there is no display to open one on, allowed: browser or FILE.rrd")
+        raise InputError("view", "found window, but there is no display to open one on", "browser or FILE.rrd")
 
 
 class Viewer:
     """A viewer in a separate process that listens on one address: a native window, or a server for browsers."""
 
     def __init__(self, kind: Literal["window", "browser"], address: str = LOOPBACK) -> None:
-        """Start the viewer and wait until it listens; ViewError if it does not."""
+        """Start the viewer and wait until it listens; InputError if it does not."""
         here, hosts = reachable(address), hosts_of(address)
         host = f"[{here}]" if ":" in here else here
         port = _free_port(address)
@@ -87,7 +83,7 @@ class Viewer:
         while not all(_listens(here, port) for port in ports):
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.end()
-                raise ViewError(f"--view: Rerun's viewer does not start on {address}, allowed: FILE.rrd")
+                raise InputError("view", f"Rerun's viewer does not start on {address}", "FILE.rrd")
             time.sleep(0.05)
 
     def wait(self) -> None:
@@ -125,7 +121,7 @@ def _program() -> str:
     for file in (Path(folder) / name for folder in folders for name in names):
         if file.is_file():
             return str(file)
-    raise ViewError("--view: Rerun's viewer is not installed, allowed: FILE.rrd")
+    raise InputError("view", "Rerun's viewer is not installed", "FILE.rrd")
 
 
 def _environment() -> dict[str, str]:
@@ -141,8 +137,8 @@ def _free_port(address: str) -> int:
             probe.bind((address, 0))
             return int(probe.getsockname()[1])
     except OSError as error:
-        found = f"--bind: found {address}, which cannot be bound ({error.strerror})"
-        raise ViewError(f"{found}, allowed: an IP address of this machine") from None
+        found = f"found {address}, which cannot be bound ({error.strerror})"
+        raise InputError("bind", found, "an IP address of this machine") from None
 
 
 def _listens(address: str, port: int) -> bool:

@@ -33,5 +33,5 @@ def test_five_lines_are_enough(tmp_path):
 def test_changes_over_a_preset_may_be_nested_and_are_checked():
     config = ss.preset("report", laser={"beams": 90}, seed=7)
     assert (config.laser.beams, config.laser.max_range, config.seed) == (90, 5.0, 7)
-    with pytest.raises(ss.ConfigError, match=r"laser\.beam: no such field"):
+    with pytest.raises(ss.InputError, match=r"laser\.beam: no such field"):
         ss.preset(laser={"beam": 90})

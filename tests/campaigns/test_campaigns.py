@@ -13,8 +13,9 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.campaigns import CampaignError, CampaignPlan, Rows, cluster, worker
+from sixthsense.campaigns import CampaignPlan, Rows, cluster, worker
 from sixthsense.campaigns.plan import AXES, config_hash, plan
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.summary import summary
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -86,7 +87,7 @@ def test_a_lost_scheduler_is_told_and_a_lost_worker_is_a_row():
     assert (found["outcome"], found["error"]) == ("error", "KilledWorker: 4 workers died in this run")
     assert row_after(ImportError("no such\nmodule"))["error"] == "ImportError: no such module"
     for error in (CancelledError(), OSError("closed")):
-        with pytest.raises(CampaignError, match="connection lost, the finished rows are kept"):
+        with pytest.raises(InputError, match="connection lost, the finished rows are kept"):
             row_after(error)
 
 

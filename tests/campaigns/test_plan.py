@@ -16,11 +16,12 @@ from settings import changed, flat, nested
 
 import sixthsense as ss
 from sixthsense import campaigns, cli
-from sixthsense.campaigns import CampaignError, CampaignPlan, Rows, report, worker
+from sixthsense.campaigns import CampaignPlan, Rows, report, worker
 from sixthsense.campaigns.cluster import check_workers
 from sixthsense.campaigns.folder import save_folder
 from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, scene_digest, seed_range
 from sixthsense.config import Config, merge
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.curves import Curves
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -43,7 +44,7 @@ def test_ranges_are_read_back_as_the_seeds_they_were_made_of() -> None:
 
 @pytest.mark.parametrize("text", ["", "3:3", "4:3", "-1:3", "1:2:3", "a", "0:100001", "1.5"])
 def test_what_is_no_range_of_seeds_is_refused(text: str) -> None:
-    with pytest.raises(CampaignError, match=r"^--seeds: found "):
+    with pytest.raises(InputError, match=r"^--seeds: found "):
         seed_range(text)
 
 
@@ -56,7 +57,7 @@ def test_a_plan_is_the_product_of_its_axes_each_run_once_and_seed_by_seed() -> N
     for run in runs.values():
         base = merge(ss.preset(run.setting.preset), {**FIELDS, "scene": run.setting.scene, "seed": run.seed})
         assert run.config == merge(base, {"estimator": run.setting.estimator})
-    with pytest.raises(CampaignError, match="found 100001 runs, allowed: at most 100000"):
+    with pytest.raises(InputError, match="found 100001 runs, allowed: at most 100000"):
         plan(CampaignPlan({axis: tuple(values) for axis, values in AXES.items()}, tuple(range(100_001)), FIELDS))
 
 
@@ -169,7 +170,7 @@ def test_a_row_of_a_run_with_another_configuration_is_refused(done: CampaignPlan
     key, run = next(iter(plan(done).items()))
     (Path("mc/rows") / f"run-{key}.parquet").unlink()
     Rows(Path("mc")).add({**worker.row_of(run.config), "config_hash": "f" * 16, "outcome": "x", "version": "0.0"})
-    with pytest.raises(CampaignError, match=r"with another configuration, from version 0\.0"):
+    with pytest.raises(InputError, match=r"with another configuration, from version 0\.0"):
         call()
 
 
@@ -281,7 +282,7 @@ def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], 
     if not said:
         assert check_workers(client, one) == 2
         return
-    with pytest.raises(CampaignError, match=said):
+    with pytest.raises(InputError, match=said):
         check_workers(client, one)
 
 

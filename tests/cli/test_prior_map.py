@@ -52,7 +52,7 @@ def test_python_takes_the_same_options(first):
     assert run.trace.prior_map["name"] == "first"
     again = ss.replay(first, prior_map=first, pose_sigma=(0.1, 0.1, 0.05), progress=False)
     assert again.trace.prior_map["pose_sigma"] == [0.1, 0.1, 0.05]
-    with pytest.raises(ss.ConfigError, match=r"^pose: found without prior_map, allowed: with it$"):
+    with pytest.raises(ss.InputError, match=r"^pose: found without prior_map, allowed: with it$"):
         ss.run("rectangle", pose=(0.0, 0.0, 0.0))
 
 

@@ -178,8 +178,8 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (None, None, "run --config x/config.toml", "replay x"),
         ({"log": "a b.log"}, None, "replay 'a b.log' --config x/config.toml", "replay x"),
         (
-            {"log": "a.bag", "topic": "/s,/o", "odometry_frames": "odom,base"}, None,
-            "replay a.bag --config x/config.toml --topic /s,/o --odometry-frames odom,base", "replay x",
+            {"log": "a.bag", "topics": "/s,/o", "odometry_frames": "odom,base"}, None,
+            "replay a.bag --config x/config.toml --topics /s,/o --odometry-frames odom,base", "replay x",
         ),
         (
             {"log": "mon", "merged_with": "tue", "relations": "r.txt"}, None,

@@ -3,7 +3,7 @@ import math
 import os
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 from settings import changed, flat, nested
@@ -11,7 +11,6 @@ from settings import changed, flat, nested
 from sixthsense.config import (
     PRESETS,
     Config,
-    ConfigError,
     Range,
     as_table,
     is_of_replay,
@@ -21,8 +20,9 @@ from sixthsense.config import (
     prior_map_of,
     save_config,
 )
-from sixthsense.config.errors import nearest, reason_of
+from sixthsense.config.errors import InputError, nearest, reason_of
 from sixthsense.config.names import ESTIMATORS, Names
+from sixthsense.config.section import checked
 from sixthsense.config.tree import task_of
 
 
@@ -131,7 +131,7 @@ BAD_FIELDS = {
 def test_a_wrong_field_is_one_line_with_file_field_value_and_what_is_allowed(field: str, tmp_path: Path) -> None:
     text, found, allowed = BAD_FIELDS[field]
     file = written(tmp_path, text)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(InputError) as caught:
         load_config(file)
     message = str(caught.value)
     assert message.startswith(f"{file}: ") and f"{field.strip()}: " in message and "\n" not in message
@@ -159,7 +159,7 @@ def test_a_file_that_is_no_configuration_is_one_line(text: str | bytes | None, s
     file = tmp_path / "pipe" if text is None else written(tmp_path, text)
     if text is None:
         os.mkfifo(file)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(InputError) as caught:
         load_config(file)
     assert str(caught.value).startswith(f"{file}: {said}") and "\n" not in str(caught.value)
 
@@ -179,11 +179,11 @@ def test_a_range_holds_its_ends_but_for_an_open_one(bounds: Range, inside: Any, 
 
 
 def test_a_number_in_degrees_is_answered_in_radians_where_that_is_allowed() -> None:
-    assert Range(0, 1, unit="rad/m").allowed(45.0) == "did you mean 0.7854 rad/m (45 degrees/m)? allowed: 0 to 1 rad/m"
-    assert (
-        Range(0, 1, unit="rad").allowed(90.0) == "allowed: 0 to 1 rad"
-        and Range(0, 1).allowed(45.0) == "allowed: 0 to 1"
-    )
+    with pytest.raises(InputError) as caught:
+        checked("drift", Annotated[float, Range(0, 1, unit="rad/m")], 45.0)
+    said = "did you mean 0.7854 rad/m (45 degrees/m)? allowed: 0 to 1 rad/m"
+    assert str(caught.value) == f"drift: found 45.0, {said}"
+    assert Range(0, 1, unit="rad").near(90.0) == Range(0, 1).near(45.0) == ""
 
 
 ESTIMATORS.add("Own")
@@ -215,8 +215,8 @@ def test_a_goal_or_a_tour_sets_its_task_and_contradicts_another() -> None:
     assert task_of({"seed": 3, "goal": None}) == {}
     assert task_of({"goal": GOAL}) == task_of({"goal": GOAL, "task": "goal"}) == {"task": "goal"}
     assert task_of({"tour": TOUR}) == {"task": "tour"}
-    with pytest.raises(ConfigError, match=r"^--tour: found with --task explore, allowed: with --task tour$"):
-        task_of({"tour": TOUR, "task": "explore"}, "--")
+    with pytest.raises(InputError, match=r"^tour: found with `task` explore, allowed: with `task` tour$"):
+        task_of({"tour": TOUR, "task": "explore"})
 
 
 def test_names_are_the_shipped_ones_and_those_that_were_added_once() -> None:

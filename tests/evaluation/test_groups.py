@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.curves import Curves
-from sixthsense.evaluation.groups import GroupError, Sample, differences, grouped, resampled, usual_grouping
+from sixthsense.evaluation.groups import Sample, differences, grouped, resampled, usual_grouping
 
 
 def curve(values, step_s=1.0):
@@ -42,9 +43,9 @@ def test_groups_are_by_any_field_or_several_and_at_most_twelve():
     other = sample(laser={"beams": 90})
     assert [group.name for group in grouped([*samples, other], "laser.beams")] == ["laser.beams 360", "laser.beams 90"]
     assert len(grouped(samples, ("estimator", "seed"))) == 12
-    with pytest.raises(GroupError, match="by: found 13 groups by estimator, seed, allowed: at most 12"):
+    with pytest.raises(InputError, match="by: found 13 groups by estimator, seed, allowed: at most 12"):
         grouped([*samples, sample(seed=9)], ("estimator", "seed"))
-    with pytest.raises(GroupError, match=r"by: found 'laser.beam'.*laser.beams"):
+    with pytest.raises(InputError, match=r"by: found 'laser.beam'.*laser.beams"):
         grouped(samples, "laser.beam")
     assert usual_grouping([one.fields for one in samples]) == ["estimator"]
     apart = samples[0], sample(scene="office", estimator="ekf", seed=3)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from sixthsense.config import AssumedConfig, Config, as_table, merge, preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.evaluation.calibrate import Calibration, as_partial_config, calibrate, summary
-from sixthsense.evaluation.noise import CalibrationError, LandmarkErrors, PropagationErrors, Sample, propagation_errors
+from sixthsense.evaluation.noise import LandmarkErrors, PropagationErrors, Sample, propagation_errors
 
 RNG = np.random.default_rng(2)
 ROOTS = np.eye(3) * [0.03, 0.02, 0.05] + RNG.uniform(-0.01, 0.01, (40, 3, 3))
@@ -74,5 +75,5 @@ def test_the_summary_has_means_before_and_after_and_second_moments_about_zero_an
 
 
 def test_a_calibration_refuses_fewer_than_twenty_samples():
-    with pytest.raises(CalibrationError, match="samples: found 19, allowed: at least 20"):
+    with pytest.raises(InputError, match="samples: found 19, allowed: at least 20"):
         calibrate(preset(), 19)

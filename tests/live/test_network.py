@@ -11,6 +11,7 @@ import pytest
 from processes import wait_until
 
 from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.live.maps import MAP, UPDATES
@@ -19,7 +20,7 @@ from sixthsense.live.publishing import POSE
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageReader
 from sixthsense.live.session import Session, Topics, check_one_publisher, command_type
 from sixthsense.live.simulated import ODOM, SCAN, check_alone, cmd_vel
-from sixthsense.live.topics import SENSOR, NetworkError, dds_type
+from sixthsense.live.topics import SENSOR, dds_type
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 
@@ -99,7 +100,7 @@ def test_two_publishers_of_a_topic_are_refused(node):
     check_one_publisher(reader)
     node.writer(SCAN)
     wait_until(lambda: reader.publishers == 2)
-    with pytest.raises(NetworkError, match="/scan: found 2 publishers, allowed: one robot"):
+    with pytest.raises(InputError, match="/scan: found 2 publishers, allowed: one robot"):
         check_one_publisher(reader)
 
 
@@ -111,7 +112,7 @@ def test_a_robot_that_cannot_be_driven_alone_is_refused(node, topics, message):
     for topic in topics:
         node.reader(topic)
     wait_until(lambda: len(node.subscribers("/cmd_vel")) == len(topics))
-    with pytest.raises(NetworkError, match=message):
+    with pytest.raises(InputError, match=message):
         command_type(node, "/cmd_vel", False)
 
 
@@ -119,7 +120,7 @@ def test_a_second_simulator_finds_the_topics_of_the_first(node):
     check_alone(node, (SCAN, ODOM), (cmd_vel(),))
     node.reader(cmd_vel())
     wait_until(lambda: node.subscribers("/cmd_vel"))
-    with pytest.raises(NetworkError, match="/cmd_vel: found another subscriber"):
+    with pytest.raises(InputError, match="/cmd_vel: found another subscriber"):
         check_alone(node, (SCAN, ODOM), (cmd_vel(),))
 
 
@@ -152,7 +153,7 @@ def test_two_lasers_in_turn_are_told_in_one_line():
         robot = threading.Thread(target=publish)
         robot.start()
         try:
-            with pytest.raises(NetworkError, match=r"^/scan: found scans of two lasers in turn, all of frame .*$"):
+            with pytest.raises(InputError, match=r"^/scan: found scans of two lasers in turn, all of frame .*$"):
                 session.configure((), False)
         finally:
             is_over.set()

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from processes import wait_until
 
-from sixthsense.config import ConfigError, preset
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.live import session as session_module
@@ -20,7 +21,7 @@ from sixthsense.live.network import Endpoint, Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST_STAMPED, MessageReader
 from sixthsense.live.session import Session, Topics, check_drive
 from sixthsense.live.simulated import Disturbance, SimulatedRobot, check_alone, cmd_vel, drive_by_commands
-from sixthsense.live.topics import SENSOR, NetworkError
+from sixthsense.live.topics import SENSOR
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import stamp_ns
 from sixthsense.sources.logs.transforms import FramePair, TransformTree
@@ -155,13 +156,13 @@ def test_of_two_simulators_that_begin_at_once_one_stays():
             return []
 
     check_alone(Two(), (simulated.SCAN,), (cmd_vel(),), before="a")
-    with pytest.raises(NetworkError, match="/scan: found another publisher"):
+    with pytest.raises(InputError, match="/scan: found another publisher"):
         check_alone(Two(), (simulated.SCAN,), (cmd_vel(),), before="c")
 
 
 @pytest.mark.parametrize(("task", "name"), [("explore", "region"), ("goal", "goal"), ("tour", "tour")])
 def test_a_drive_needs_the_places_of_its_task(task, name):
-    with pytest.raises(ConfigError, match=f"^--{name}: missing"):
+    with pytest.raises(InputError, match=f"^--{name}: missing"):
         check_drive(preset(task=task))
     places = {"region": (0.5, 0.6, 2.0, 3.0), "goal": (2.0, 3.0), "tour": ((2.0, 3.0),)}
     check_drive(preset(task=task, **{name: places[name]}))
@@ -188,7 +189,7 @@ def test_a_network_is_found_by_multicast_beside_its_peers_unless_it_is_this_mach
     ((7, ("lo",), ("10.0.0.2",)), "--peers: found 10.0.0.2 with --interface lo"),
 ])  # fmt: skip
 def test_a_network_that_cannot_be_is_refused(of, said):
-    with pytest.raises(NetworkError, match=said):
+    with pytest.raises(InputError, match=said):
         Network(*of)
     Network(232, ("lo",), ("127.0.0.9",))
 

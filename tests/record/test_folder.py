@@ -5,13 +5,14 @@ from pathlib import Path
 import pytest
 
 from sixthsense import cli
-from sixthsense.config import Config, ConfigError, load_config, preset
+from sixthsense.config import Config, load_config, preset
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.plot import save_map
 from sixthsense.loop.run import run
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
-from sixthsense.record.writing import FolderError, FolderInUseError, FolderLock, whole
+from sixthsense.record.writing import FolderInUseError, FolderLock, whole
 
 CORNERS = {"landmarks": "corners"}
 CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)
@@ -72,7 +73,7 @@ def test_a_failure_leaves_the_old_folder_whole(tmp_path: Path, trace: Trace) -> 
 def test_what_is_no_run_is_not_taken_for_a_killed_one(tmp_path: Path) -> None:
     (tmp_path / "run.partial").mkdir()
     (tmp_path / "run.partial" / "notes.txt").write_text("mine")
-    with pytest.raises(FolderError, match=r"is not a run folder, it holds no config.toml of a run, allowed: "):
+    with pytest.raises(InputError, match=r"is not a run folder, it holds no config.toml of a run, allowed: "):
         RunFolder(tmp_path / "run", Config(), overwrite=True)
     assert entries(tmp_path / "run.partial") == ["notes.txt"]
 
@@ -132,7 +133,7 @@ def test_what_no_run_has_written_is_never_removed(name: str, here: Path) -> None
         (out / file).parent.mkdir(exist_ok=True)
         (out / file).mkdir() if file.endswith("/") else (out / file).write_text(text)
     before = content(here)
-    with pytest.raises(FolderError, match=r"^--out: .*x is not a run folder, it holds "):
+    with pytest.raises(InputError, match=r"^--out: .*x is not a run folder, it holds "):
         RunFolder(out, Config(), overwrite=True)
     assert content(here) == before
 
@@ -150,13 +151,13 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
     elif name == "no overwrite":
         made(out)
     before = content(here)
-    with pytest.raises(FolderError, match=r"^--out: "):
+    with pytest.raises(InputError, match=r"^--out: "):
         RunFolder(Path() if name == "no name" else out, Config(), overwrite=name != "no overwrite")
     assert content(here) == before
 
 
 @pytest.mark.parametrize(("error", "has_record", "is_left"), [
-    (ConfigError("bad"), False, False), (ConfigError("bad"), True, True), (KeyboardInterrupt(), False, False),
+    (InputError("bad"), False, False), (InputError("bad"), True, True), (KeyboardInterrupt(), False, False),
     (RuntimeError("a bug"), False, True),
 ])  # fmt: skip
 def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_the_evidence(
@@ -171,7 +172,7 @@ def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_th
 def test_a_folder_that_has_meanwhile_become_something_else_is_not_replaced(here: Path) -> None:
     with RunFolder(made(here / "x"), Config(seed=2), overwrite=True) as folder:
         (here / "x" / "notes.txt").write_text("mine")
-        with pytest.raises(FolderError, match=r"holds notes.txt.*; the run is in .*x.partial$"):
+        with pytest.raises(InputError, match=r"holds notes.txt.*; the run is in .*x.partial$"):
             folder.finish()
     assert seed_of(here / "x") == 1 and seed_of(here / "x.partial") == 2
 
@@ -230,7 +231,7 @@ def test_a_replacement_is_not_completed_over_what_someone_has_written_there(here
     made(here / "x")
     made(here / ".x.replaced", 2)
     (here / ".x.replaced" / "notes.txt").write_text("mine")
-    with pytest.raises(FolderError, match=r"holds notes.txt, which no run writes, allowed: move it away"):
+    with pytest.raises(InputError, match=r"holds notes.txt, which no run writes, allowed: move it away"):
         RunFolder(here / "x", Config(), overwrite=True)
     assert (here / ".x.replaced" / "notes.txt").exists()
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
+from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
-from sixthsense.figures.panels import FigureError
+from sixthsense.figures.panels import FigureError, KINDS
 from sixthsense.figures.run import Run
 from sixthsense.record.stream import FILE, RecordWriter
 from sixthsense.record.trace import Stopwatch

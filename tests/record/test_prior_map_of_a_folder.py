@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from traces import CONFIG, trace_of, written
 
-from sixthsense.config import ConfigError
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.record.load import load_record, prior_start, read_prior_map
-from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
 
 Arrays = dict[str, np.ndarray]
@@ -84,30 +83,30 @@ def test_a_map_that_is_damaged_is_refused_and_its_file_named(name: str, folder: 
     file, by, said = REFUSED[name]
     read_prior_map(folder)
     change(folder / file, by)
-    with pytest.raises(RecordError, match=said) as told:
+    with pytest.raises(InputError, match=said) as told:
         read_prior_map(folder)
     assert name == "landmarks without end" or file in str(told.value)
 
 
 def test_links_to_keyframes_that_are_not_there_are_refused(folder: Path) -> None:
     change(folder / "record.npz", lambda arrays: arrays["link_ends"].__setitem__((0, 1), 4))
-    with pytest.raises(RecordError, match=r"record\.npz: found link_ends 0 to 4 of 4 keyframes"):
+    with pytest.raises(InputError, match=r"record\.npz: found link_ends 0 to 4 of 4 keyframes"):
         load_record(folder)
 
 
 def test_landmarks_of_another_run_are_refused(folder: Path) -> None:
     change(folder / "landmarks.npz", lambda arrays: arrays["ids"].__setitem__(1, 99))
-    with pytest.raises(RecordError, match=r"landmarks\.npz: found landmarks that record\.npz does not know"):
+    with pytest.raises(InputError, match=r"landmarks\.npz: found landmarks that record\.npz does not know"):
         load_record(folder)
 
 
 @pytest.mark.parametrize("file", ["config.toml", "landmarks.npz", "record.npz"])
 def test_a_folder_without_a_part_of_the_map_is_refused(file: str, folder: Path) -> None:
     (folder / file).unlink()
-    with pytest.raises(RecordError, match=f"found no {file}"):
+    with pytest.raises(InputError, match=f"found no {file}"):
         read_prior_map(folder)
     shutil.rmtree(folder)
-    with pytest.raises(RecordError, match="no such folder"):
+    with pytest.raises(InputError, match="no such folder"):
         read_prior_map(folder)
 
 
@@ -137,5 +136,5 @@ def test_a_start_in_a_map_has_its_pose_and_sigmas_and_is_noted(folder: Path) -> 
     (True, None, (0.1, 0.2, 0.3), True, "^--pose-sigma: found with --lost"),
 ])  # fmt: skip
 def test_a_start_that_says_nothing_or_contradicts_itself_is_refused(has_map, pose, sigma, lost, said, folder) -> None:
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(InputError, match=said):
         prior_start(folder if has_map else None, pose, sigma, lost, "--")

@@ -21,6 +21,7 @@ from PIL import Image
 from rosbags.highlevel import AnyReader
 from traces import CONFIG, RADIUS_M, cov_of, observation_of, pose_of, trace_of, written
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan, sweep_times
@@ -28,7 +29,6 @@ from sixthsense.core.source import Tick
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.load import load_record
 from sixthsense.record.messages import Messages
-from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
 from sixthsense.sources.logs.runfolder import read_run
@@ -135,7 +135,7 @@ def test_a_damaged_line_is_named(name: str) -> None:
         lines = [json.loads(line) for line in file.read_text().splitlines()]
         number = DAMAGES[name](lines) % len(lines) + 1
         file.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
-        with pytest.raises(RecordError, match=rf"record.jsonl: line {number}: found .*, allowed: a line of a run"):
+        with pytest.raises(InputError, match=rf"record.jsonl: line {number}: found .*, allowed: a line of a run"):
             load_record(folder)
 
 

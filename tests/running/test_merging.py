@@ -13,7 +13,8 @@ from sixthsense.core import interrupt
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
 from sixthsense.record.folder import RunFolder
-from sixthsense.running.merging import Merged, MergeError, _going_on, merged_log, replay_merged
+from sixthsense.running.merging import MergeError, Merged, _going_on, merged_log, replay_merged
+from sixthsense.config.errors import InputError
 from sixthsense.running.runs import QUIET
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.replay_input import Recorded, open_recorded
@@ -120,7 +121,7 @@ def test_a_second_run_that_no_link_joins_to_the_first_is_refused_even_if_the_fir
 ):
     monday = recorded(runs / "monday")
     assert replay_merged(joined(monday, monday), None, QUIET).outcome == "log ended"
-    with RunFolder(here / "both", monday.config) as folder, pytest.raises(MergeError, match="could be linked"):
+    with RunFolder(here / "both", monday.config) as folder, pytest.raises(InputError, match="could be linked"):
         replay_merged(joined(monday, recorded(runs / "other")), folder, QUIET)
     assert list(here.iterdir()) == []
     monkeypatch.setattr(interrupt, "_last_s", -np.inf)
@@ -144,7 +145,7 @@ def test_runs_of_two_lasers_and_runs_without_scans_are_not_merged(laser, said, r
     one = recorded(runs / "monday")
     config = merge(one.config, {"laser": laser or {}})
     log = one.log if laser else Log([dataclasses.replace(tick, scan=None) for tick in one.log.ticks])
-    with pytest.raises(MergeError, match=said):
+    with pytest.raises(InputError, match=said):
         merged_log(one, dataclasses.replace(one, config=config, log=log))
 
 

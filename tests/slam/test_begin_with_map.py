@@ -8,12 +8,13 @@ import pytest
 from laws.nees import assert_consistent, error_of, normalised
 
 from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.load import read_prior_map
-from sixthsense.slam.prior_map import PriorMapError, PriorStart
+from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.scene import load_scene
 
 SECONDS = 20.0
@@ -125,9 +126,7 @@ def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_keyframe_are_co
 def test_a_map_of_another_building_is_refused_at_the_first_scan(first):
     other = scene_of(corners=np.array([[-3.0, -3.0], [9.0, -3.0], [9.0, 7.5], [-3.0, 7.5]]))
     for sigma in ((0.0, 0.0, 0.0), (0.2, 0.2, 0.1)):
-        with pytest.raises(
-            PriorMapError, match=r"^prior_map: found first, of which the first scan shows \d+ %, allowed"
-        ):
+        with pytest.raises(InputError, match=r"^prior_map: found first, of which the first scan shows \d+ %, allowed"):
             driven(other, 1, prior=PriorStart(read_prior_map(first), None, sigma))
 
 
@@ -138,5 +137,5 @@ def test_a_place_that_looks_like_another_one_is_refused(explored, tmp_path):
     folder.finish()
     scan = explored.trace
     prior = PriorStart(read_prior_map(tmp_path / "rectangle"), Pose(0.0, 0.0, 0.5 * math.pi), (1.0, 0.5, 2.0))
-    with pytest.raises(PriorMapError, match="two places of rectangle that the first scan fits"):
+    with pytest.raises(InputError, match="two places of rectangle that the first scan fits"):
         loop.run(scan.config, prior=prior)

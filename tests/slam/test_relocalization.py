@@ -9,6 +9,7 @@ import pytest
 from scanned import box, look, outline
 
 from sixthsense.config import GridConfig, LaserConfig, preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
 from sixthsense.loop import run as loop
@@ -16,7 +17,7 @@ from sixthsense.record.folder import RunFolder
 from sixthsense.record.load import read_prior_map
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.prior_map import PriorMap, PriorMapError, PriorStart
+from sixthsense.slam.prior_map import PriorMap, PriorStart
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.sources.logs.log import RewindableSource
 from sixthsense.sources.scene import load_scene
@@ -151,5 +152,5 @@ def test_a_lost_robot_in_another_building_ends_in_one_line(first):
     other = np.concatenate([outline((-3, -3), (9, -3), (9, 7.5), (-3, 7.5)), box(2, 2, 2, 1)])
     scene = dataclasses.replace(scene_of(other, Pose()), region=(-3.0, -3.0, 9.0, 7.5), tour=((4.2, 0.8), (0.8, 0.8)))
     config = preset(scene="rectangle", task="tour", max_time=10.0, seed=2)
-    with pytest.raises(PriorMapError, match=r"^lost: found no place of first that alone fits what was seen on \d+ m"):
+    with pytest.raises(InputError, match=r"^lost: found no place of first that alone fits what was seen on \d+ m"):
         loop.run(config, scene=scene, prior=PriorStart(first, is_lost=True))

@@ -8,11 +8,12 @@ import pytest
 from scanned import look, outline
 
 from sixthsense.config import GridConfig, LaserConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.prior_map import PriorMap, PriorMapError
+from sixthsense.slam.prior_map import PriorMap
 from sixthsense.slam.start_search import located
 
 LASER, GRID = LaserConfig(), GridConfig()
@@ -67,7 +68,7 @@ def test_along_a_corridor_the_pose_stays_where_it_was_said_to_be():
 @pytest.mark.parametrize("cov", [np.zeros((3, 3)), np.diag([0.3, 0.3, 0.2]) ** 2])
 def test_a_scan_of_another_room_is_refused(cov):
     other = 2.2 * ROOM - np.array([3.0, 2.0])
-    with pytest.raises(PriorMapError, match=r"^prior_map: found earlier, of which the first scan shows"):
+    with pytest.raises(InputError, match=r"^prior_map: found earlier, of which the first scan shows"):
         located(seen(other, TRUE), ROOM_MAP, TRUE, cov, GRID)
 
 

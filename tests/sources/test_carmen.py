@@ -12,6 +12,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.config import LaserConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
@@ -19,7 +20,6 @@ from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.carmen import read_carmen
 from sixthsense.sources.logs.laser_geometry import max_range_of
 from sixthsense.sources.logs.log import Log, read_relations
-from sixthsense.sources.logs.text_lines import LogError
 
 LASER = LaserConfig(beams=4, fov=math.pi, max_range=50.0)
 HEADER = "# message_name [message contents] ipc_timestamp\nPARAM robot_frontlaser_offset 0.0 nohost 0\n"
@@ -90,7 +90,7 @@ def test_a_damaged_line_costs_itself_and_is_counted(tmp_path: Path) -> None:
     said = [line for line in log.remarks() if "left out" in line]
     assert any("2 of 8 lines left out: line 2: found 'abc', allowed: a number" in line for line in said)
     assert len(said) == 4
-    with pytest.raises(LogError, match="line 1: found 'abc', allowed: a number"):
+    with pytest.raises(InputError, match="line 1: found 'abc', allowed: a number"):
         read(tmp_path, bad[0], LASER)
 
 
@@ -149,7 +149,7 @@ def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None
     content = compress("".join(flaser(i, row) for i, row in enumerate(ranges)).encode())
     for length in range(len(content) - 1, 3, -17):
         file = written(tmp_path, content[:length], "a.log.gz")
-        with pytest.raises(LogError) as caught:
+        with pytest.raises(InputError) as caught:
             read_carmen(file, LASER)
         assert "\n" not in str(caught.value) and str(file) in str(caught.value)
 
@@ -161,7 +161,7 @@ def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None
     ("# nothing\n", "found no line of numbers"),
 ])  # fmt: skip
 def test_a_bad_table_of_numbers_is_named(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(InputError) as caught:
         read_relations(written(tmp_path, text, "a.relations"))
     assert said in str(caught.value)
     assert str(tmp_path) in str(caught.value)

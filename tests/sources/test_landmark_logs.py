@@ -10,7 +10,8 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.config import AssumedConfig, merge, preset
+from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.loop.run import replay
 from sixthsense.sources.logs import open_log
@@ -18,6 +19,7 @@ from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.mrclam import polar_observation
 from sixthsense.sources.logs.text_lines import LogError
+from sixthsense.sources.logs.runfolder import read_run
 
 CIRCLED = {1000: (3.0, 1.0), 1001: (0.0, 4.0), 1002: (-2.0, 2.0), 1003: (1.0, -2.0)}
 MOTION = "ODOMETRY {} {} 1.0 0.1 0.2 1e-4 0 0 1e-4 0 1e-4\n"
@@ -213,7 +215,7 @@ def test_edges_to_earlier_poses_are_loop_closures_either_way_and_stay_in_the_run
 
 def refused(folder):
     """What is said of an edge to a pose that no way leads to."""
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(InputError) as caught:
         read_graph(graph(MOTION.format(0, 1) + MOTION.format(1, 2) + MOTION.format(3, 9), folder, "bad.graph"))
     return str(caught.value)
 

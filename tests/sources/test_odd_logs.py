@@ -11,13 +11,13 @@ from robot_bag import MOUNT, T0_NS, WALLS, off_walls_m, robot_bag, way
 
 import sixthsense as ss
 from sixthsense.config import LaserConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.bag_file import opened
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, stamp_ns
-from sixthsense.sources.logs.text_lines import LogError
 
 TF = (("tf", "base_footprint", "base_link", Pose()), ("tf", "base_link", "laser", MOUNT))
 BACKWARDS = (("static", "laser", "base_footprint", MOUNT.inverse()),)
@@ -126,7 +126,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_bag_that_cannot_be_right_is_refused_in_one_line_that_names_the_option(name, tmp_path):
     how, said = REFUSED[name]
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(InputError) as caught:
         open_log(robot_bag(tmp_path / "bag", **how))
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
@@ -142,7 +142,7 @@ def test_a_bag_in_other_units_is_read_with_the_option(name, tmp_path):
 def test_two_clocks_that_share_no_time_and_no_turn_are_refused_with_both_intervals(tmp_path):
     still = robot_bag(tmp_path / "bag", late_s=80.0, seconds=3.0, odom=at(every, "pose", Pose(0.2, 0.1, 0.4)))
     with pytest.raises(
-        LogError, match=r"found scans from 1700000080\.\d+ to .* s, odometry from 1700000000.*one clock"
+        InputError, match=r"found scans from 1700000080\.\d+ to .* s, odometry from 1700000000.*one clock"
     ):
         open_log(still)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from bags import Bag
 
-from sixthsense.config import ConfigError, merge, preset
+from sixthsense.config import merge, preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.log import Log, Relations
-from sixthsense.sources.logs.text_lines import LogError
 from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out, open_recorded, recorded_scene
 
 S = 1_000_000_000
@@ -65,7 +65,7 @@ def test_an_option_is_refused_on_the_logs_to_which_it_does_not_apply(logs, field
         if kind in allowed:
             check_options(log, fields, chosen, "--")
         else:
-            with pytest.raises(ConfigError, match=f"^--{option}: found on "):
+            with pytest.raises(InputError, match=f"^--{option}: found on "):
                 check_options(log, fields, chosen, "--")
 
 
@@ -74,7 +74,7 @@ def test_a_replay_does_not_write_over_its_own_log(tmp_path: Path) -> None:
     check_out(log, tmp_path / "y")
     check_out(log, None)
     for path in (log, log / "bag" / "bag_0.mcap"):
-        with pytest.raises(ConfigError, match=r"whose \.partial is the log itself"):
+        with pytest.raises(InputError, match=r"whose \.partial is the log itself"):
             check_out(path, tmp_path / "x")
 
 
@@ -115,5 +115,7 @@ def test_relations_that_name_stamps_of_no_scan_are_left_out_and_counted(logs, tm
     assert any(note.startswith("2 of 5 relations are of scans, 0.05 s away") and "; 3 " in note for note in found.notes)
     assert found.files == {"log": str(logs["carmen"]), "relations": str(file)}
     none = Relations(np.array([[1.5, 8.25]]), np.array([[0.3, 0.2, 0.9]]))
-    with pytest.raises(LogError, match=r"relations: found no relation between scans of the log \(the first is of 1.5"):
+    with pytest.raises(
+        InputError, match=r"relations: found no relation between scans of the log \(the first is of 1.5"
+    ):
         open_recorded(logs["carmen"], base, none)

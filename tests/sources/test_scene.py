@@ -8,14 +8,15 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from sixthsense.config import ConfigError, preset
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, point_segment_distance
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.sources.campus import Campus, campus_walls
 from sixthsense.sources.mission import connected, mission, mission_of
 from sixthsense.sources.ros_map import outline_corners, simplified
-from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene, shipped_scenes
+from sixthsense.sources.scene import Scene, check_placement, load_scene, shipped_scenes
 
 SHIPPED = ["apartment", "block", "campus", "loop", "office", "rectangle"]
 GOOD = """
@@ -99,7 +100,7 @@ def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_a_scene_that_cannot_be_is_refused_by_its_field(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in GOOD + ROOM
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(InputError) as caught:
         load_scene(write(tmp_path, "a.toml", (GOOD + ROOM).replace(old, new)))
     assert said in str(caught.value)
 
@@ -122,7 +123,7 @@ def test_a_placement_is_checked_against_the_scene() -> None:
         ({"tour": [(1.0, 5.0), (0.0, 5.0)]}, "tour, entry 2: found (0, 5), 0 m from a wall"),
         ({"radius": 0.9}, "start: found (11.6, 0.8), 0.8 m from a wall"),
     ]:
-        with pytest.raises(SceneError) as caught:
+        with pytest.raises(InputError) as caught:
             check_placement(scene, **given)
         assert said in str(caught.value)
 
@@ -135,7 +136,7 @@ def test_a_scn_file_is_a_start_a_radius_and_walls(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path, "r.scn", "0.3 0.5 1.2 0.15\r\n" + walls))
     assert (scene.start, scene.radius, scene.goal, scene.tour) == (Pose(0.3, 0.5, 1.2), 0.15, None, ())
     assert scene.region == (-2, -1.5, 3, 2) and len(scene.walls) == 4
-    with pytest.raises(SceneError, match=r"start: found .*, 0\.1 m from a wall"):
+    with pytest.raises(InputError, match=r"start: found .*, 0\.1 m from a wall"):
         load_scene(write(tmp_path, "r.scn", "2.9 0.5 1.2 0.15\n" + walls))
 
 
@@ -201,7 +202,7 @@ def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
     pixels[10:30, 20:45] = 0
     scene = load_scene(write_map(tmp_path, pixels, origin="[-1.3, 2.7, 0]"))
     assert check_placement(scene, (0.2, 3.5, 0.4)) == Pose(0.2, 3.5, 0.4)
-    with pytest.raises(SceneError, match=r"start: found \(1.5, 4.9\), inside a wall, 0.8 m deep"):
+    with pytest.raises(InputError, match=r"start: found \(1.5, 4.9\), inside a wall, 0.8 m deep"):
         check_placement(scene, (1.5, 4.9, 0.4))
     assert len(load_scene(write_map(tmp_path, pixels), "free").walls) == 4
 
@@ -211,7 +212,7 @@ def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
     ({"origin": "[0.3, 0.4]"}, "origin: "), ({"resolution": "0"}, "resolution: "),
 ])  # fmt: skip
 def test_a_map_with_a_field_that_is_not_allowed_is_refused(tmp_path: Path, fields: dict, said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(InputError, match=said):
         load_scene(write_map(tmp_path, np.full((4, 6), 254), **fields))
 
 
@@ -282,11 +283,11 @@ def test_glass_is_solid_and_no_wall(tmp_path: Path) -> None:
     assert len(scene.walls) == 4
     assert scene.glass.tolist() == [[[3.5, 2.5], [3.5, 3.2]]]
     assert len(scene.solid) == 5
-    with pytest.raises(SceneError, match="goal"):
+    with pytest.raises(InputError, match="goal"):
         check_placement(scene, goal=(3.6, 3.1))
-    with pytest.raises(SceneError, match="glass, entry 1: found"):
+    with pytest.raises(InputError, match="glass, entry 1: found"):
         load_scene(write(tmp_path, "glazed.toml", GOOD + ROOM + "glass = [[2, 0, 2]]\n"))
-    with pytest.raises(SceneError, match="glass: expected shape"):
+    with pytest.raises(InputError, match="glass: expected shape"):
         Scene("s", scene.walls, None, 0.2, None, (), scene.region, glass=np.zeros((1, 4)))
 
 
@@ -359,7 +360,7 @@ def test_furniture_has_its_mean_number_and_stands_apart_from_walls_and_other_pie
 
 
 def test_a_campus_has_at_most_four_hundred_blocks():
-    with pytest.raises(ConfigError, match="blocks: found 21 x 20, allowed: at most 400 in all"):
+    with pytest.raises(InputError, match="blocks: found 21 x 20, allowed: at most 400 in all"):
         replace(SMALL, blocks=(21, 20))
 
 
@@ -395,7 +396,7 @@ def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(
     ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
 ])  # fmt: skip
 def test_a_mission_that_cannot_be_is_refused_by_its_field(tmp_path: Path, given: dict, said: str) -> None:
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(InputError) as caught:
         mission_of(preset(scene=str(hall(tmp_path)), **given))
     assert said in str(caught.value)
 
@@ -418,7 +419,7 @@ def test_the_world_of_a_mission_has_its_seed_its_glass_and_its_people(tmp_path: 
     while not (tick := world.step(Command(0.3, -0.14))).collided:
         last = tick
     assert last.truth.x < 3.4
-    with pytest.raises(SceneError, match=r"goal: found .*, which no way leads to"):
+    with pytest.raises(InputError, match=r"goal: found .*, which no way leads to"):
         mission_of(preset(scene=name, task="goal"))
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.log import Log, Relations, continued
 from sixthsense.sources.logs.stamps import matched, passed_s, tell_time, unit_of
-from sixthsense.sources.logs.text_lines import LogError
 from sixthsense.sources.replay_input import relations_of
 
 
@@ -56,5 +56,5 @@ def test_relations_with_rounded_stamps_are_of_the_nearest_scans_and_how_many_is_
     assert found.poses[3].tolist() == [12.0, 13.0, 14.0]
     assert notes[0].startswith("39 of 40 relations are of scans, 4.")
     assert notes[0].endswith("1 name stamps of no scan and are left out")
-    with pytest.raises(LogError, match="found no relation between scans of the log"):
+    with pytest.raises(InputError, match="found no relation between scans of the log"):
         relations_of(log, Relations(given + 1e3, np.zeros((40, 3))), "x", [])

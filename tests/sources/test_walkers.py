@@ -10,10 +10,12 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from sixthsense.config import ConfigError, preset
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
 from sixthsense.sources.scene import Scene, SceneError, load_scene
+from sixthsense.loop.run import run
 from sixthsense.sources.walkers import Walkers, walkers_of
 from sixthsense.sources.walking_space import ScriptedWalk, WalkingSpace, check_walks, read_walks
 from sixthsense.sources.world import World
@@ -125,11 +127,11 @@ def test_walks_that_cannot_be_are_refused_by_their_point() -> None:
         (((1.0, 1.0), (5.0, 1.0)), r"walkers, entry 1, point 1: found no way from \(-1.3, 4.4\) to \(2.7, 4.4\)"),
         (((1.0, 1.0), (3.87, 1.0)), r"walkers, entry 1, point 2: found \(1.57, 4.4\), in a wall"),
     ):
-        with pytest.raises(SceneError, match=said):
+        with pytest.raises(InputError, match=said):
             check_walks([walk(*points)], WALLED, REGION)
-    with pytest.raises(ConfigError, match="pauses: found 1, allowed: a time for each of the 2 way points"):
+    with pytest.raises(InputError, match="pauses: found 1, allowed: a time for each of the 2 way points"):
         walk((1.0, 1.0), (3.0, 3.0), pauses=(2.0,))
-    with pytest.raises(SceneError, match="walkers: found 201, allowed: at most 200"):
+    with pytest.raises(InputError, match="walkers: found 201, allowed: at most 200"):
         read_walks([{"points": [[2.0, 3.0]]}] * 201)
 
 

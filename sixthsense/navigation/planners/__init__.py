@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sixthsense.config import RRTStarConfig
-from sixthsense.config.errors import allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.names import PLANNERS as NAMES
 from sixthsense.navigation.planners.base import Plan, Planner
 
@@ -45,4 +45,4 @@ def make_planner(name: str, rrtstar: RRTStarConfig | None = None, rng: np.random
         from sixthsense.navigation.planners.rrtstar import RRTStar
 
         return RRTStar(rrtstar or RRTStarConfig(), rng or np.random.default_rng(0))
-    raise ValueError(f"planner: found {name!r}, {allowed_names(NAMES, nearest(name, NAMES))}")
+    raise InputError("planner", f"found {name!r}", ", ".join(NAMES), nearest(name, NAMES))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sixthsense.config import ISAM2Config
-from sixthsense.config.errors import allowed_names, nearest
+from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.names import ESTIMATORS as NAMES
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.slam.estimators.base import Estimate, Estimator, Filter, LandmarkPrior, Link, Smoother
@@ -65,4 +65,4 @@ def make_estimator(name: str, start: Pose, start_cov: Array, isam2: ISAM2Config 
         from sixthsense.slam.estimators.isam2 import ISAM2
 
         return ISAM2(start, start_cov, isam2 or ISAM2Config())
-    raise ValueError(f"estimator: found {name!r}, {allowed_names(NAMES, nearest(name, NAMES))}")
+    raise InputError("estimator", f"found {name!r}", ", ".join(NAMES), nearest(name, NAMES))

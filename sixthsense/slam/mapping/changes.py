@@ -70,8 +70,9 @@ def cell_box(low: Array, high: Array, most: int = MAX_CELLS) -> tuple[tuple[int,
     height, width = high - low
     if not (height * width <= most and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
         raise InputError(
-            f"grid: found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}, "
-            f"allowed: at most {most:,} cells, within 2^48 of the origin"
+            "grid",
+            f"found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}",
+            f"at most {most:,} cells, within 2^48 of the origin",
         )
     return (int(low[0]), int(low[1])), (int(height), int(width))
 

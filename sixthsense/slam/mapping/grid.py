@@ -335,7 +335,7 @@ class Grid:
         """Make room for the cells in squares (N, 2) that have no tile; InputError if there are too many."""
         count = (len(self._tiles.squares) + len(new)) * TILE * TILE
         if count > MAX_CELLS:
-            raise InputError(f"grid: found {count:,} cells that were seen, allowed: at most {MAX_CELLS:,} cells")
+            raise InputError("grid", f"found {count:,} cells that were seen", f"at most {MAX_CELLS:,} cells")
         self._tiles.allocate(new)
         if count > len(self._cells.hits):
             self._cells = self._cells.extended(max(count, len(self._cells.hits) * 5 // 4))

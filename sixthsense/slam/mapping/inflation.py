@@ -20,7 +20,7 @@ MAX_INFLATION = 1000
 def check_inflation(cells: float) -> None:
     """Raise InputError for an inflation of more than `MAX_INFLATION` cells."""
     if cells > MAX_INFLATION:
-        raise InputError(f"grid: found an inflation of {cells:.0f} cells, allowed: at most {MAX_INFLATION}")
+        raise InputError("grid", f"found an inflation of {cells:.0f} cells", f"at most {MAX_INFLATION}")
 
 
 def disc(radius: float) -> NDArray[np.int64]:

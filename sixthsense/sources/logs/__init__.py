@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sixthsense.sources.logs.text_lines import LogError
+from sixthsense.config.errors import InputError
 
 if TYPE_CHECKING:
     from sixthsense.config import AssumedConfig, LaserConfig
@@ -36,7 +36,7 @@ def open_log(
     named in `stated`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames` the parent and
     the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot of a MRCLAM
     folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. `units` says
-    which units a bag or a CARMEN log has, such as `ranges=mm`. Raises LogError for an unknown kind, with the known
+    which units a bag or a CARMEN log has, such as `ranges=mm`. Raises InputError for an unknown kind, with the known
     ones, and for a file that the reader cannot read.
     """
     from sixthsense.config import LaserConfig
@@ -53,7 +53,7 @@ def open_log(
 
         return read_graph(path)
     if not path.exists():
-        raise LogError(f"{path}: no such file")
+        raise InputError(path, "no such file")
     if kind == "run":
         from sixthsense.sources.logs.runfolder import read_run
 
@@ -74,7 +74,7 @@ def open_log(
         f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}, or .txt), "
         f"ROS bag ({', '.join(_BAGS)}, or a folder of them), folder of a run, folder of MRCLAM"
     )
-    raise LogError(f"{path}: found no known kind of log, allowed: {kinds}")
+    raise InputError(path, "found no known kind of log", kinds)
 
 
 def _suffix(path: Path) -> str:

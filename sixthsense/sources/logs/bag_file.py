@@ -13,12 +13,12 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import InputError, allowed_names, nearest, reason_of
+from sixthsense.config.errors import InputError, nearest, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array
 from sixthsense.sources.logs.bag_forms import readable, suffix_of
 from sixthsense.sources.logs.ros_messages import ODOMETRY, checked_stamp, frame_name, stamp_ns
-from sixthsense.sources.logs.text_lines import LARGEST, LogError, check_regular
+from sixthsense.sources.logs.text_lines import LARGEST, check_regular
 from sixthsense.sources.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
@@ -36,14 +36,15 @@ _BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely com
 def opened(path: Path, remarks: list[str] | None = None) -> Iterator[AnyReader]:
     """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file), recognised by its first bytes.
 
-    What was done about the form of the bag is added to the remarks. Whatever is wrong within the block is a LogError: a
-    damaged bag can raise any exception, and may define a type with a known name but without the expected fields.
+    What was done about the form of the bag is added to the remarks. Whatever is wrong within the block is an
+    InputError: a damaged bag can raise any exception, and may define a type with a known name but without the expected
+    fields.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     if not path.exists():
-        raise LogError(f"{path}: no such file")
+        raise InputError(path, "no such file")
     try:
         check_regular(path)
         _check_first_line(path)
@@ -57,10 +58,10 @@ def opened(path: Path, remarks: list[str] | None = None) -> Iterator[AnyReader]:
     except InputError:
         raise
     except Exception as error:
-        allowed = "allowed: ROS 1 .bag, ROS 2 folder or file"
+        allowed = "ROS 1 .bag, ROS 2 folder or file"
         if suffix_of(path) == ".bag":
-            allowed = "allowed: a whole ROS 1 bag; `rosbag reindex` makes one of what was cut short"
-        raise LogError(f"{path}: cannot be read as a bag ({reason_of(error)}), {allowed}") from None
+            allowed = "a whole ROS 1 bag; `rosbag reindex` makes one of what was cut short"
+        raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", allowed) from None
 
 
 def _begin_of(data: bytes, compression: str) -> bytes:
@@ -182,7 +183,7 @@ class PoseTopic:
 def read_poses(path: Path, topic: str = "", with_covariance: bool = True, besides: Collection[str] = ()) -> PoseTopic:
     """Read the poses of a topic, by default of the only one with poses, `besides` excepted.
 
-    Raises LogError with the candidates unless there is one, and for a bag or a pose that cannot be read.
+    Raises InputError with the candidates unless there is one, and for a bag or a pose that cannot be read.
     """
     kinds = WITH_COVARIANCE if with_covariance else (*WITH_COVARIANCE, *WITHOUT)
     rows: list[list[float]] = []
@@ -210,7 +211,7 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     """Read the chain of transforms from `child` to `parent` in /tf and /tf_static, the link nearest `parent` first.
 
     Each link has stamps (N,), ns, and poses (N, 4, 4) of its frame in its parent; a static one has a single pose.
-    Raises LogError, with the frames that there are, where no chain leads from one to the other.
+    Raises InputError, with the frames that there are, where no chain leads from one to the other.
     """
     tree, pair = TransformTree(), FramePair(frame_name(parent), frame_name(child))
     with opened(path) as reader:
@@ -220,38 +221,40 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     try:
         links = [tree.transforms(link) for link in tree.chain(pair)]
     except ValueError as error:
-        raise LogError(f"{path} /tf: {error}") from None
+        raise InputError(f"{path} /tf", str(error)) from None
     if all(len(link) == 1 for link in links):
-        raise LogError(f"{path}: found {shown_name(child)} at rest in {shown_name(parent)}, allowed: a moving frame")
+        raise InputError(path, f"found {shown_name(child)} at rest in {shown_name(parent)}", "a moving frame")
     return [(np.array([ns for ns, _ in link], dtype=np.int64), np.array([T for _, T in link])) for link in links]
 
 
 def _chosen(path: Path, reader: AnyReader, topic: str, kinds: Sequence[str], besides: Collection[str]) -> str:
-    """The topic that is wanted, or the only one of these types; LogError with the candidates otherwise."""
+    """The topic that is wanted, or the only one of these types; InputError with the candidates otherwise."""
     types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
     fitting = sorted(name for name, kind in types.items() if kind in kinds and name not in besides)
-    allowed = f"allowed: {', '.join(kind.rpartition('/')[2] for kind in kinds)}"
+    allowed = f"{', '.join(kind.rpartition('/')[2] for kind in kinds)}"
     if topic:
         if types.get(topic) not in kinds:
-            raise LogError(f"{path}: {found_topic(topic, types, f'no topic {topic!r}', fitting, allowed)}")
+            raise wrong_topic(path, topic, types, f"no topic {topic!r}", fitting, allowed)
         return topic
     if not fitting:
-        raise LogError(f"{path}: found no topic of poses, {allowed}")
-    return only_topic(path, fitting, "poses", "--topic" if kinds is WITH_COVARIANCE else "--truth-topic")
+        raise InputError(path, "found no topic of poses", allowed)
+    return only_topic(path, fitting, "poses", "`topic`" if kinds is WITH_COVARIANCE else "`truth_topic`")
 
 
-def found_topic(topic: str, types: Mapping[str, str], missing: str, fitting: Sequence[str], otherwise: str) -> str:
-    """What is wrong with a topic that is not one of `fitting`; `missing` and `otherwise` where there is none."""
+def wrong_topic(
+    where: object, topic: str, types: Mapping[str, str], missing: str, fitting: Sequence[str], otherwise: str
+) -> InputError:
+    """The error of a topic that is not one of `fitting`; `missing` and `otherwise` where there is none."""
     found = f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else missing
-    allowed = allowed_names(map(shown_name, fitting), nearest(topic, fitting)) if fitting else otherwise
-    return f"found {found}, {allowed}"
+    allowed = ", ".join(map(shown_name, fitting)) if fitting else otherwise
+    return InputError(where, f"found {found}", allowed, nearest(topic, fitting))
 
 
 def only_topic(path: Path, names: Sequence[str], what: str, option: str) -> str:
-    """The only topic of some; LogError that names the option where there are several."""
+    """The only topic of some; InputError that names the option where there are several."""
     if len(names) > 1:
         either = " or ".join(map(shown_name, names))
-        raise LogError(f"{path}: found {len(names)} topics of {what}, allowed: one, by {option} {either}")
+        raise InputError(path, f"found {len(names)} topics of {what}", f"one, by {option} {either}")
     return names[0]
 
 
@@ -268,8 +271,7 @@ def _checked(where: str, rows: list[list[float]]) -> Array:
     if not good.all():
         row = int(np.argmin(good))
         found = tuple(poses[row].tolist())
-        raise LogError(
-            f"{where} message {row + 1}: found a pose of {found}, allowed: finite numbers and a quaternion that is not "
-            "zero"
+        raise InputError(
+            f"{where} message {row + 1}", f"found a pose of {found}", "finite numbers and a quaternion that is not zero"
         )
     return poses

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, time_increment
 from sixthsense.core.source import Tick
@@ -33,7 +34,7 @@ from sixthsense.sources.logs.laser_geometry import (
 from sixthsense.sources.logs.log import Log, without_jumps
 from sixthsense.sources.logs.refused import Refused
 from sixthsense.sources.logs.stamps import from_zero_on, passed_s
-from sixthsense.sources.logs.text_lines import LARGEST, LogError, Record, records, shown
+from sixthsense.sources.logs.text_lines import LARGEST, Record, records, shown
 from sixthsense.sources.logs.units import SI, Units, check_bearings, check_odometry, check_ranges
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
@@ -108,7 +109,7 @@ def read_carmen(
     Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Each scan has the beams
     and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
     each has the stamp of its record, or 1 ns after the previous tick if that is later; stamps below 0 are moved. Raises
-    LogError for a file that cannot be read, is no CARMEN log, is in other `units`, or has no scan with a return.
+    InputError for a file that cannot be read, is no CARMEN log, is in other `units`, or has no scan with a return.
     """
     path, given, default = Path(file), laser or LaserConfig(), LaserConfig()
     names = {f.name for f in dataclasses.fields(LaserConfig) if getattr(given, f.name) != getattr(default, f.name)}
@@ -127,8 +128,8 @@ def read_carmen(
     lasers = _lasers(scans, geometries, given.fov if "fov" in names else None, reach, content, remarks)
     reach_of: dict[_Geometry | None, float] = {geometry: each.reach for geometry, each in lasers.items()}
     if not any(((r.ranges > 0.0) & (r.ranges < np.float32(reach_of[r.geometry]))).any() for r in scans):
-        allowed = f"allowed: ranges above 0 and below {max(reach_of.values()):g} m"
-        raise LogError(f"{path}: found no return in {len(scans)} scans, {allowed}")
+        allowed = f"ranges above 0 and below {max(reach_of.values()):g} m"
+        raise InputError(path, f"found no return in {len(scans)} scans", allowed)
     most = lasers[geometries[0]]
     known = described(given, geometries[0].beams, most.beams.step, most.reach, place)
     ticks = _ticks(content.readings, lasers, known, remarks)
@@ -136,12 +137,12 @@ def read_carmen(
 
 
 def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:
-    """The message whose lines are the scans; LogError if the log has neither."""
+    """The message whose lines are the scans; InputError if the log has neither."""
     kinds = content.kinds
     if not kinds[FLASER] and not kinds[ROBOTLASER]:
         counts = (f"{count} {kind.decode()}" for kind, count in kinds.most_common(5) if count)
         found = ", ".join(counts) or "no line at all"
-        raise LogError(f"{path}: found no FLASER or ROBOTLASER1 line ({found}), allowed: a log with laser scans")
+        raise InputError(path, f"found no FLASER or ROBOTLASER1 line ({found})", "a log with laser scans")
     kind = FLASER if kinds[FLASER] > kinds[ROBOTLASER] else ROBOTLASER
     if kinds[FLASER] and kinds[ROBOTLASER]:
         both = f"found {kinds[FLASER]} FLASER and {kinds[ROBOTLASER]} ROBOTLASER1 lines"
@@ -157,7 +158,7 @@ def _geometries(path: Path, readings: Sequence[_Reading], count: int | None, rem
     if not fitting:
         counts = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found}))
         allowed = f"2 to {MOST_BEAMS}" if count is None else f"{count} (laser.beams)"
-        raise LogError(f"{path}: found scans of {counts} beams, allowed: {allowed}")
+        raise InputError(path, f"found scans of {counts} beams", allowed)
     others = found.total() - sum(fitting.values())
     if others:
         beams = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found if geometry not in fitting}))
@@ -260,21 +261,21 @@ def _ticks(
 def _read_lines(path: Path, units: Units, remarks: list[str]) -> _Lines:
     """Parse the lines of a file; those that are damaged are left out, and counted in a remark.
 
-    Raises LogError for a file that cannot be read, and for one whose lines are all damaged.
+    Raises InputError for a file that cannot be read, and for one whose lines are all damaged.
     """
     content, refused, count, last = _Lines(units), Refused(), 0, 0
     for record in records(path):
         count += 1
         try:
             _take(content, record)
-        except LogError as error:
+        except InputError as error:
             last = count
-            refused.add("lines", LogError(str(error).removeprefix(f"{path} ")))
+            refused.add("lines", error.at(error.where.removeprefix(f"{path} ")))
             if refused.count("lines") == count >= _MOST_DAMAGED:
                 break
     damaged = refused.count("lines")
     if damaged and not any(reading.geometry is not None for reading in content.readings):
-        raise LogError(f"{path} {refused.first('lines')}")
+        raise InputError("", f"{path} {refused.first('lines')}")
     if damaged == 1 and last == count:
         remarks.append(f"the last line is damaged and left out ({refused.first('lines')})")
     elif damaged:

@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
 from sixthsense.core.source import Closure, Tick
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import LogError, Record, records, shown
+from sixthsense.sources.logs.text_lines import Record, records, shown
 
 _STEP_NS = 1_000_000_000
 _FARTHEST = 1e6
@@ -48,7 +49,7 @@ def begins_as_graph(file: Path) -> bool:
     """Whether the first line that is not blank or a comment begins with a tag of a graph."""
     try:
         return next((record.fields[0] in _TAGS for record in records(file)), False)
-    except LogError:
+    except InputError:
         return False
 
 
@@ -70,7 +71,7 @@ def read_graph(file: str | Path) -> Log:
 
     Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are skipped. Poses and landmarks share one
     space of ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
-    observations; odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge of a pose
+    observations; odometry begins at zero. Raises InputError, naming file and line, for any other tag; an edge of a pose
     that no way leads to; a landmark that is seen before its pose, or twice from one
     pose, or has the id of a pose; an invalid number; an invalid covariance.
 
@@ -89,7 +90,7 @@ def read_graph(file: str | Path) -> Log:
             record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in _TAGS)}")
         _READERS[tag](graph, record)
     if len(graph.ticks) < 2:
-        raise LogError(f"{path}: found no edge between poses, allowed: a graph with {b', '.join(_MOTIONS).decode()}")
+        raise InputError(path, "found no edge between poses", f"a graph with {b', '.join(_MOTIONS).decode()}")
     _add_closures(graph)
     return Log(list(graph.ticks.values()))
 

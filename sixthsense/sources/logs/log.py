@@ -79,7 +79,7 @@ class Log:
         lines = [*self._remarks, *stamp_remarks(self._own_stamps)]
         if self.has_odometry and len(self.scans) > 1 and all(tick.odometry == self.start for tick in self.ticks):
             if self._scans_move():
-                lines.append("the odometry never changes, but the scans do: use --no-odometry")
+                lines.append("the odometry never changes, but the scans do: use `no_odometry`")
             else:
                 lines.append(
                     "the odometry never changes: the robot is taken to stand still, and the first scan is its map"
@@ -248,7 +248,7 @@ class Relations:
 def read_relations(file: str | Path) -> Relations:
     """Read relations, lines of `t1 t2 dx dy dz roll pitch yaw`; blank lines and lines that begin with # are skipped.
 
-    Seconds, metres, radians; dz, roll and pitch are ignored. Raises LogError for a file that
+    Seconds, metres, radians; dz, roll and pitch are ignored. Raises InputError for a file that
     cannot be read, a line that is not eight finite numbers, or a file without a relation.
     """
     table = read_table(Path(file), "t1 t2 dx dy dz roll pitch yaw").numbers

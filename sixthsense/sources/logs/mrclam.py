@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.config import AssumedConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation, polar_observation
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import LogError, Record, Table, read_table, shown
+from sixthsense.sources.logs.text_lines import Record, Table, read_table, shown
 
 _ROBOTS = range(1, 6)
 """ids of robots among the subjects"""
@@ -51,13 +52,13 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
 
     The column called range is a depth, the distance along the camera's axis, and is divided by the cosine of the
     bearing: compared with Vicon it is 12 % short at 0.55 rad and correct ahead, as (cos bearing)^0.94 (set 6, robot 3).
-    Raises LogError, naming file and line, for anything else.
+    Raises InputError, naming file and line, for anything else.
     """
     path = Path(folder)
     robot = _chosen(path, robot)
     for name, sigma in (("range_m", assumed.laser.range_m), ("bearing_rad", assumed.laser.bearing_rad)):
         if sigma <= 0.0:
-            raise LogError(f"{path}: found assumed.laser.{name} {sigma:g}, allowed on ranges and bearings: above 0")
+            raise InputError(path, f"found assumed.laser.{name} {sigma:g}", "above 0 for ranges and bearings")
     subjects = _subjects(_file(path, "Barcodes.dat"))
     drive = read_table(_file(path, f"Robot{robot}_Odometry.dat"), "stamp speed turn-rate")
     drive.check(1, "forward speed", -_FASTEST, _FASTEST)
@@ -67,7 +68,7 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
     truth = None if vicon is None else _Truth(vicon)
     ticks = _ticks(drive, seen, truth)
     if not ticks:
-        raise LogError(f"{vicon}: found truth at no stamp of the odometry, allowed: of the same drive")
+        raise InputError(vicon, "found truth at no stamp of the odometry", "of the same drive")
     unread = [f"{misread} measurements with an unknown barcode are skipped"] if misread else []
     return Log(ticks, remarks=unread)
 
@@ -175,12 +176,12 @@ def true_landmarks(folder: Path) -> dict[LandmarkId, Array]:
 def _chosen(folder: Path, robot: int | None) -> int:
     found = robots(folder)
     if not found:
-        raise LogError(f"{folder}: found no RobotN_Odometry.dat, allowed: a MRCLAM folder, files plain or .gz")
+        raise InputError(folder, "found no RobotN_Odometry.dat", "a MRCLAM folder, files plain or .gz")
     names = ", ".join(map(str, found))
     if robot is None and len(found) > 1:
-        raise LogError(f"{folder}: found robots {names}, allowed: one, by --robot N")
+        raise InputError(folder, f"found robots {names}", "one, by `robot` N")
     if robot is not None and robot not in found:
-        raise LogError(f"{folder}: found no odometry of robot {robot}, allowed: {names}")
+        raise InputError(folder, f"found no odometry of robot {robot}", names)
     return found[0] if robot is None else robot
 
 
@@ -192,7 +193,7 @@ def _existing(folder: Path, name: str) -> Path | None:
 def _file(folder: Path, name: str) -> Path:
     file = _existing(folder, name)
     if file is None:
-        raise LogError(f"{folder}: found no {name}, allowed: a MRCLAM folder with it, plain or .gz")
+        raise InputError(folder, f"found no {name}", "a MRCLAM folder with it, plain or .gz")
     return file
 
 

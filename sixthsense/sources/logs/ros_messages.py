@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Closure
 from sixthsense.sources.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
-from sixthsense.sources.logs.text_lines import LARGEST, LAST_STAMP_S, LogError
+from sixthsense.sources.logs.text_lines import LARGEST, LAST_STAMP_S
 from sixthsense.sources.logs.units import SI, Units, check_bearings
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -47,9 +48,9 @@ def stamp_ns(message: Any) -> int:
 
 
 def checked_stamp(where: str, stamp_ns: int) -> int:
-    """A stamp that fits into 64 bits; LogError for any other."""
+    """A stamp that fits into 64 bits; InputError for any other."""
     if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
-        raise LogError(f"{where}: found stamp {stamp_ns} ns, allowed: 0 to {_LARGEST_STAMP_NS} ns")
+        raise InputError(where, f"found stamp {stamp_ns} ns", f"0 to {_LARGEST_STAMP_NS} ns")
     return stamp_ns
 
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sixthsense.config import LaserConfig
-from sixthsense.config.errors import reason_of
+from sixthsense.config.errors import InputError, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
+from sixthsense.sources.logs.bag_file import only_topic, opened, wrong_topic
 from sixthsense.sources.logs.joining import Stamped, joined, one_clock
 from sixthsense.sources.logs.laser_geometry import described, max_range_of
 from sixthsense.sources.logs.log import Log, continued, found_turns, gaps_of
@@ -34,7 +34,6 @@ from sixthsense.sources.logs.ros_messages import (
     stated_reach,
 )
 from sixthsense.sources.logs.stamps import passed_s, tell_time
-from sixthsense.sources.logs.text_lines import LogError
 from sixthsense.sources.logs.transforms import OPTION, TRANSFORM_TYPES, FramePair, TransformTree
 from sixthsense.sources.logs.units import SI, Units, check_odometry, check_ranges
 
@@ -70,8 +69,8 @@ def read_bag(file: str | Path, laser: LaserConfig, how: How | None = None) -> Lo
     Messages are sorted by the stamps of their headers if the stamps of each topic ascend, else they keep the order of
     the file. The stamp of a tick is at least 1 ns after the previous one. The odometry of a scan is interpolated at its
     stamp. The stamp of a sweep is that of its first beam in the message and of its last beam in the tick. A message
-    that cannot be used is left out, and counted in a remark. Raises LogError for a bag that cannot be read, that lacks
-    a topic of scans or a scan that can be used, or that is in other units.
+    that cannot be used is left out, and counted in a remark. Raises InputError for a bag that cannot be read, that
+    lacks a topic of scans or a scan that can be used, or that is in other units.
     """
     path, how = Path(file), how or How()
     remarks: list[str] = []
@@ -169,10 +168,10 @@ def _messages(reader: AnyReader, known: Sequence[Any], out: _Recording) -> Itera
 
 
 def _without(path: Path, recording: _Recording, topic: str) -> None:
-    """Raise LogError for a topic without a message that can be used."""
+    """Raise InputError for a topic without a message that can be used."""
     if recording.refused.count(topic):
-        raise LogError(f"{path} {topic}: {recording.refused.first(topic)}")
-    raise LogError(f"{path}: found no message on {shown_name(topic)}, allowed: a log with scans and odometry")
+        raise InputError(f"{path} {topic}", f"{recording.refused.first(topic)}")
+    raise InputError(path, f"found no message on {shown_name(topic)}", "a log with scans and odometry")
 
 
 def _has_transforms(connection: Any, with_moving: bool) -> bool:
@@ -187,22 +186,21 @@ def _take_odometry(
     try:
         pair, poses = recording.tree.odometry(recording.laser, named)
     except ValueError as error:
-        raise LogError(f"{path} /tf: {error}") from None
+        raise InputError(f"{path} /tf", str(error)) from None
     recording.robots[pair.child] += len(poses)
     recording.odometry = [(own, record_ns, place, poses[row]) for own, record_ns, place, row in rows if row in poses]
     recording.remarks.append(f"odometry: /tf {pair}, {len(poses)} transforms (otherwise {OPTION})")
 
 
 def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry: bool) -> dict[str, str]:
-    """The topic of scans, and that of odometry if there is one; LogError with the candidates where it is not clear."""
+    """The topic of scans, and that of odometry if there is one; InputError with the candidates if it is not clear."""
     types = {c.topic: c.msgtype for c in reader.connections}
     kinds = {"scan": _SCANS, "odometry": (ODOMETRY,)}
     fitting = {what: sorted(t for t, name in types.items() if name in names) for what, names in kinds.items()}
     for topic in topics:
         if topic not in itertools.chain(*fitting.values()):
             offered = sorted(itertools.chain(*fitting.values()))
-            found = found_topic(topic, types, f"{topic!r}, no topic of {path}", offered, "allowed: none here")
-            raise LogError(f"--topic: {found}")
+            raise wrong_topic("topics", topic, types, f"{topic!r}, no topic of {path}", offered, "none here")
     chosen = {}
     for what, names in fitting.items():
         short = kinds[what][0].rpartition("/")[2]
@@ -213,8 +211,10 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry:
                 ", ".join(f"{shown_name(t)} ({shown_name(n.rpartition('/')[2])})" for t, n in sorted(types.items())[:8])
                 or "no topic at all"
             )
-            raise LogError(f"{path}: found no topic of type {short}, but {held}, allowed: a bag with one")
-        chosen[what] = only_topic(path, [name for name in names if name in topics] or names, f"type {short}", "--topic")
+            raise InputError(path, f"found no topic of type {short}, but {held}", "a bag with one")
+        chosen[what] = only_topic(
+            path, [name for name in names if name in topics] or names, f"type {short}", "`topics`"
+        )
     return chosen
 
 
@@ -224,9 +224,9 @@ def _log(path: Path, reader: AnyReader, recording: _Recording, laser: LaserConfi
     scans = _scans(path, recording, place, upside_down, how.units)
     made = [each.value for each in scans if isinstance(each.value, Scan)]
     if not any((s.ranges <= np.float32(s.max_range)).any() for s in made):
-        raise LogError(f"{path}: found no return in {len(made)} scans, allowed: ranges from range_min to range_max")
+        raise InputError(path, f"found no return in {len(made)} scans", "ranges from range_min to range_max")
     if turns := found_turns(made, recording.laser):
-        raise LogError(f"{path}: {turns}")
+        raise InputError(path, turns)
     odometry = [each._replace(own_ns=each.end_ns, value=Pose()) for each in scans]
     if recording.has_odometry:
         odometry = _timed(recording.odometry, recording.topics.get("odometry", "/tf"), remarks)
@@ -237,7 +237,7 @@ def _log(path: Path, reader: AnyReader, recording: _Recording, laser: LaserConfi
             try:
                 scans, odometry = one_clock(scans, odometry, remarks)
             except ValueError as error:
-                raise LogError(f"{path}: {error}") from None
+                raise InputError(path, str(error)) from None
     remarks += recording.refused.remarks(recording.totals)
     own_s = [own / 1e9 for own in _headers(recording, scans)]
     ticks = joined(scans, odometry, own_s, by_stamps, remarks)
@@ -294,7 +294,7 @@ def _scans(path: Path, recording: _Recording, place: Pose, upside_down: bool, un
 
 
 def _without_jumps(path: Path, recording: _Recording, odometry: list[Stamped]) -> list[Stamped]:
-    """Odometry that is `continued`; LogError where it is in other units."""
+    """Odometry that is `continued`; InputError where it is in other units."""
     stamped = [(each.own_ns, each.value) for each in odometry if isinstance(each.value, Pose)]
     if len(stamped) > 1:
         poses = np.array([pose.array() for _, pose in stamped])
@@ -321,7 +321,7 @@ def _mount(
             robot = _robot(recording)
             found = tree.mount(robot, recording.laser)
     except ValueError as error:
-        raise LogError(f"{path} /tf_static: {error}") from None
+        raise InputError(f"{path} /tf_static", str(error)) from None
     if not recording.robot and recording.has_odometry and found is not None:
         remarks.append(
             f"odometry does not name the robot's frame: taken to be {shown_name(robot)}, the root of the frames that "

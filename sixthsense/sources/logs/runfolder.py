@@ -29,7 +29,7 @@ from sixthsense.sources.logs.ros_messages import (
     scan,
     stamp_ns,
 )
-from sixthsense.sources.logs.text_lines import LogError, check_regular
+from sixthsense.sources.logs.text_lines import check_regular
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 _TYPES = {
@@ -57,7 +57,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     """Read the bag of a run folder, or of its `.partial`: evidence, truth, plans and tours.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
-    its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or an observation.
+    its last whole chunk. Raises InputError for a folder without a bag, or a bag without a scan or an observation.
     """
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
@@ -70,7 +70,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 pose = planar(message.pose.pose.position, message.pose.pose.orientation)
                 last_ns = ticks[-1].stamp_ns if ticks else -1
                 if checked_stamp(str(file), record_ns) <= last_ns:
-                    raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
+                    raise InputError(file, f"found a tick at {record_ns} ns after {last_ns} ns", "ascending")
                 cov = read_increment_covariance(message)
                 ticks.append(Tick(record_ns, pose, increment_cov=cov, is_unmeasured=is_unmeasured(message)))
             elif topic in paths:
@@ -93,10 +93,10 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     except InputError:
         raise
     except Exception as error:  # a message with valid checksums may still be invalid
-        raise LogError(f"{file}: found a message that cannot be read ({error}), allowed: a bag of a run") from None
+        raise InputError(file, f"found a message that cannot be read ({error})", "a bag of a run") from None
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
-        raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
+        raise InputError(file, f"found no scan and no observation{cut}", "a bag of a run")
     if any(tick.closures for tick in ticks):
         ticks = [replace(tick, closures=tick.closures or ()) for tick in ticks]
     used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
@@ -130,11 +130,11 @@ class _Chunks:
                     elif isinstance(record, Message) and (topic := topics.get(record.channel_id, "")) in _TYPES:
                         yield topic, record.log_time, store.deserialize_cdr(record.data, _TYPES[topic])
         except FileNotFoundError:
-            raise LogError(f"{self._file}: no such file, allowed: a run folder with a bag") from None
+            raise InputError(self._file, "no such file", "a run folder with a bag") from None
         except OSError as error:
-            raise LogError(f"{self._file}: cannot be read ({error.strerror})") from None
+            raise InputError(self._file, f"cannot be read ({error.strerror})") from None
         except (McapError, struct.error):
-            raise LogError(f"{self._file}: is not an MCAP file, allowed: a bag of a run") from None
+            raise InputError(self._file, "is not an MCAP file", "a bag of a run") from None
 
     def _records(self, stream: IO[bytes]) -> Iterator[Any]:
         """The records of whole chunks."""

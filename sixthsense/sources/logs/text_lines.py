@@ -27,15 +27,11 @@ _TRIANGLES = {6: 3, 21: 6}
 """numbers of the upper triangle of a covariance, and its size"""
 
 
-class LogError(InputError):
-    """One line that names the file and line, what was found and what is allowed."""
-
-
 def check_regular(path: Path) -> None:
-    """Raise LogError if a path, or a file in that folder, is a pipe or a device, which may never end."""
+    """Raise InputError if a path, or a file in that folder, is a pipe or a device, which may never end."""
     for file in (path, *path.iterdir()) if path.is_dir() else (path,):
         if file.exists() and not (file.is_file() or file.is_dir()):
-            raise LogError(f"{file}: is a pipe or a device, allowed: a file")
+            raise InputError(file, "is a pipe or a device", "a file")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +46,8 @@ class Record:
     """words of the line"""
 
     def fail(self, what: str) -> NoReturn:
-        """Raise LogError with file and line."""
-        raise LogError(f"{self.path} line {self.line}: {what}")
+        """Raise InputError with file and line."""
+        raise InputError(f"{self.path} line {self.line}", what)
 
     def numbers(self, fields: list[bytes], largest: float = LARGEST) -> Array:
         """(len(fields),) finite numbers, up to `largest` in magnitude."""
@@ -127,9 +123,9 @@ class Table(NamedTuple):
 def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to: float = LARGEST) -> Table:
     """A line of numbers, separated by spaces or commas, for each record; at least one.
 
-    All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises LogError, naming
-    the line, for any other line, and for numbers that are not finite or beyond `LARGEST`, `first_up_to` in the first
-    column.
+    All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises InputError,
+    naming the line, for any other line, and for numbers that are not finite or beyond `LARGEST`, `first_up_to` in the
+    first column.
     """
     widths = widths or (len(columns.split()),)
     found: list[Record] = []
@@ -139,7 +135,7 @@ def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to
             record.fail(f"found {count} fields, allowed: {' or '.join(map(str, widths))} in every line ({columns})")
         found.append(record)
     if not found:
-        raise LogError(f"{path}: found no line of numbers, allowed: lines of {columns}")
+        raise InputError(path, "found no line of numbers", f"lines of {columns}")
     try:
         numbers = np.array([record.fields for record in found], dtype=np.float64)
     except ValueError:
@@ -156,8 +152,8 @@ def read_tum(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int
     """Stamps (N,), ns, and poses (N, 7), x y z qx qy qz qw, of a TUM trajectory; plain, gzip or bzip2.
 
     Lines that are empty or begin with # are skipped. Stamps are seconds, or as large as those in a part of a second
-    since 1970, which is said in `notes`. Raises LogError, naming the line, for any other line than one of eight finite
-    numbers, for a quaternion that is zero, and for a file without a pose.
+    since 1970, which is said in `notes`. Raises InputError, naming the line, for any other line than one of eight
+    finite numbers, for a quaternion that is zero, and for a file without a pose.
     """
     table = read_table(file, "stamp x y z qx qy qz qw", first_up_to=_LARGEST_STAMP)
     zero = np.flatnonzero(~np.any(table.numbers[:, 4:], axis=1))
@@ -169,7 +165,7 @@ def read_tum(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int
 def read_covariances(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int64], Array]:
     """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): a stamp and the upper triangle, row by row, in a line.
 
-    6 numbers are of SE(2), 21 of SE(3). Stamps are as of `read_tum`. Raises LogError, naming the line, for any other.
+    6 numbers are of SE(2), 21 of SE(3). Stamps are as of `read_tum`. Raises InputError, naming the line, for any other.
     """
     lengths = [1 + count for count in _TRIANGLES]
     table = read_table(file, "a stamp and the upper triangle", lengths, _LARGEST_STAMP)
@@ -204,12 +200,12 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
             while line := stream.readline(LONGEST_LINE):
                 number += 1
                 if len(line) == LONGEST_LINE:
-                    raise LogError(f"{path} line {number}: found a line of over {LONGEST_LINE} bytes, allowed: text")
+                    raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
                 yield number, line
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file") from None
+        raise InputError(path, "no such file") from None
     except EOFError:
-        raise LogError(f"{path}: is cut short, its compressed data ends after line {number}") from None
+        raise InputError(path, f"is cut short, its compressed data ends after line {number}") from None
     except (OSError, zlib.error) as error:
         reason = (isinstance(error, OSError) and error.strerror) or f"damaged after line {number}: {error}"
-        raise LogError(f"{path}: cannot be read ({reason})") from None
+        raise InputError(path, f"cannot be read ({reason})") from None

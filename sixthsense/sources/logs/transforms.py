@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.sources.logs.refused import Refused
 from sixthsense.sources.logs.ros_messages import checked_stamp, frame_name, mount, planar_of, stamp_ns, transform
-from sixthsense.sources.logs.text_lines import LogError
 
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-OPTION = "--odometry-frames PARENT,CHILD"
+OPTION = "`odometry_frames` PARENT,CHILD"
 _STILL = 1e-6  # m, and entries of a rotation, by which a transform of /tf differs that does not move
 
 
@@ -31,12 +31,12 @@ class FramePair(NamedTuple):
 
 
 def frame_pair(names: Sequence[str]) -> FramePair | None:
-    """The frames of odometry as an option has them, parent and child; None without names, LogError unless two."""
+    """The frames of odometry as an option has them, parent and child; None without names, InputError unless two."""
     if not names:
         return None
     frames = [frame_name(name.strip()) for name in names]
     if len(frames) != 2 or not all(frames) or frames[0] == frames[1]:
-        raise LogError(f"--odometry-frames: found {','.join(names)!r}, allowed: PARENT,CHILD, such as odom,base_link")
+        raise InputError("odometry_frames", f"found {','.join(names)!r}", "PARENT,CHILD, such as odom,base_link")
     return FramePair(*frames)
 
 
@@ -65,7 +65,7 @@ class TransformTree:
     def take(self, where: str, topic: str, message: Any, record_ns: int, refused: Refused | None = None) -> list[int]:
         """Add the transforms of a message; the rows of those of /tf.
 
-        A transform that cannot be used is counted in `refused`; without that it is a LogError that begins with `where`.
+        A transform that cannot be used is counted in `refused`; without that it is an InputError about `where`.
         """
         rows = []
         for one in message.transforms:
@@ -75,7 +75,7 @@ class TransformTree:
                 own = checked_stamp(where, stamp_ns(one) or record_ns)
             except ValueError as error:
                 if refused is None:
-                    raise LogError(f"{where} {topic}: {error}") from None
+                    raise InputError(f"{where} {topic}", str(error)) from None
                 refused.add(topic, error)
                 continue
             if topic.endswith("tf_static"):

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.sources.logs.laser_geometry import no_return_code
-from sixthsense.sources.logs.text_lines import LogError
 
-OPTION = "--units"
 _LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _ANGLES = {"radians": 1.0, "degrees": math.pi / 180.0}
 _NAMES = {"ranges": _LENGTHS, "odometry": _LENGTHS, "angles": _ANGLES, "headings": _ANGLES}
@@ -46,13 +45,13 @@ SI = Units()
 
 
 def units_of(words: Sequence[str]) -> Units:
-    """The units that an option says, such as `ranges=mm`; LogError for another word."""
+    """The units that an option says, such as `ranges=mm`; InputError for another word."""
     found = {}
     for word in words:
         name, _, unit = word.strip().partition("=")
         if unit not in _NAMES.get(name, {}):
             allowed = ", ".join(f"{name}={'|'.join(units)}" for name, units in _NAMES.items())
-            raise LogError(f"{OPTION}: found {word!r}, allowed: {allowed}")
+            raise InputError("units", f"found {word!r}", allowed)
         found[name] = _NAMES[name][unit]
     return Units(**found)
 
@@ -61,37 +60,36 @@ def check_bearings(first: float, last: float) -> None:
     """Raise ValueError for bearings of the first and the last beam, rad, that can only be degrees."""
     if abs(last - first) > _MOST_TURN and abs(last - first) <= 360.0 * 1.01:
         raise ValueError(
-            f"found angles of {first:.6g} to {last:.6g}, which are degrees, "
-            f"allowed: radians, or {OPTION} angles=degrees"
+            f"found angles of {first:.6g} to {last:.6g}, which are degrees, allowed: radians, or `units` angles=degrees"
         )
 
 
 def check_ranges(where: str, ranges: Sequence[NDArray[np.float32]]) -> None:
-    """Raise LogError for scans, of (beams,) ranges each, that can only be millimetres or centimetres."""
+    """Raise InputError for scans, of (beams,) ranges each, that can only be millimetres or centimetres."""
     some = ranges[:: max(1, len(ranges) // _COMPARED)]
     code = no_return_code(some) or math.inf
     returns = np.concatenate([row[(row > 0.0) & np.isfinite(row) & (row < code)] for row in some])
     if len(returns) and (median := float(np.median(returns))) > _MOST_RANGE_M:
-        raise LogError(
-            f"{where}: found ranges with a median of {median:.5g}, which are millimetres or centimetres, "
-            f"allowed: metres, or {OPTION} ranges=mm, {OPTION} ranges=cm"
+        raise InputError(
+            where,
+            f"found ranges with a median of {median:.5g}, which are millimetres or centimetres",
+            "metres, or `units` ranges=mm or ranges=cm",
         )
 
 
 def check_odometry(where: str, passed_s: Array, poses: Array) -> None:
-    """Raise LogError for poses (N, 3), with (N - 1,) times between them, that can only be in another unit."""
+    """Raise InputError for poses (N, 3), with (N - 1,) times between them, that can only be in another unit."""
     steps = np.abs(np.diff(poses, axis=0))
     moved = np.hypot(steps[:, 0], steps[:, 1])
     for motions, fastest, what, unit, allowed in (
         (moved, _FASTEST, "positions", "millimetres or centimetres",
-         f"metres, or {OPTION} odometry=mm, {OPTION} odometry=cm"),
-        (steps[:, 2], _FASTEST_RAD, "headings", "degrees", f"radians, or {OPTION} headings=degrees"),
+         "metres, or `units` odometry=mm or odometry=cm"),
+        (steps[:, 2], _FASTEST_RAD, "headings", "degrees", "radians, or `units` headings=degrees"),
     ):  # fmt: skip
         moves = (motions > 0.0) & np.isfinite(passed_s)
         usual = motions[moves & (motions <= np.quantile(motions[moves], _USUAL))] if moves.any() else motions[moves]
         speed = float(usual.sum() / max(passed_s[moves].sum(), 1e-9))
         if len(usual) >= _FEWEST and speed > fastest:
-            raise LogError(
-                f"{where}: found {what} of odometry that change by {speed:.4g} a second, which are {unit}, "
-                f"allowed: {allowed}"
+            raise InputError(
+                where, f"found {what} of odometry that change by {speed:.4g} a second, which are {unit}", allowed
             )

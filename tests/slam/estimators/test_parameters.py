@@ -6,7 +6,8 @@ from laws.nees import assert_consistent, error_of, normalised
 from laws.parameters import KINDS
 
 import sixthsense as ss
-from sixthsense.config import ConfigError, preset
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.slam.estimators.ekf import EKF
 
@@ -50,5 +51,5 @@ class Points:
 
 
 def test_an_estimator_without_wheels_is_told_where_they_are_asked_for():
-    with pytest.raises(ConfigError, match=r"calibrate_wheels: found true with .*Points, allowed: a shipped estimator"):
+    with pytest.raises(InputError, match=r"calibrate_wheels: found true with .*Points, allowed: a shipped estimator"):
         ss.run("rectangle", estimator=Points, calibrate_wheels=True, task="tour", max_time=1.0)

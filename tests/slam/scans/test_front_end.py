@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from rooms import CORNERS, RING, ROOM, drive, scan_at, stored, ticks
 
-from sixthsense.config import ConfigError, LaserConfig, merge, preset
+from sixthsense.config import LaserConfig, merge, preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import register_estimator
@@ -149,10 +150,10 @@ def test_a_return_is_judged_once_however_many_scans_saw_its_place():
 
 
 def test_a_filter_that_is_asked_for_scans_is_named_with_those_that_can():
-    with pytest.raises(ConfigError, match="front_end: found scan-matching with estimator ekf, allowed: with isam2"):
+    with pytest.raises(InputError, match="front_end: found scan-matching with estimator ekf, allowed: with isam2"):
         preset(front_end="scan-matching", estimator="ekf")
     register_estimator("own-filter", EKF)
-    with pytest.raises(ConfigError, match="found scan-matching with own-filter, allowed: with isam2"):
+    with pytest.raises(InputError, match="found scan-matching with own-filter, allowed: with isam2"):
         Slam(preset(front_end="scan-matching", estimator="own-filter"))
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from rooms import CORNERS, RING, ROOM, drive, ticks
 
-from sixthsense.config import ConfigError, preset
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.slam.motion_source import LastVelocity, ScanClock
 from sixthsense.slam.slam import Slam
@@ -26,9 +27,9 @@ def run(poses, walls, **changes):
 
 def test_the_configuration_says_so_in_one_field_which_needs_scan_matching():
     assert (CONFIG.front_end, CONFIG.estimator) == ("scan-matching", "isam2")
-    with pytest.raises(ConfigError, match="no_odometry: found true with front_end landmarks, allowed"):
+    with pytest.raises(InputError, match="no_odometry: found true with front_end landmarks, allowed"):
         preset(no_odometry=True, estimator="ekf-invariant", front_end="landmarks")
-    with pytest.raises(ConfigError, match="no_odometry: found true with calibrate_wheels"):
+    with pytest.raises(InputError, match="no_odometry: found true with calibrate_wheels"):
         preset(no_odometry=True, calibrate_wheels=True)
 
 
