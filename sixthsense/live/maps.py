@@ -18,8 +18,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.errors import InputError
 from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Network, Node
-from sixthsense.live.topics import LATCHED, RELIABLE, NetworkError, Topic
+from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.record.messages import MAP_UPDATE, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.slam.mapping.changes import Box, Revision, box_of
@@ -180,7 +181,7 @@ class MapSender:
 def _send_maps(network: Network, parts: Queue[Part | None], is_free: Any) -> None:
     """Send the map by its parts, as long as the process lives that gives them."""
     parent = multiprocessing.parent_process()
-    with contextlib.suppress(NetworkError), Node(network) as node:
+    with contextlib.suppress(InputError), Node(network) as node:
         writer = MapWriter(node)
         while parent is None or parent.is_alive():
             try:

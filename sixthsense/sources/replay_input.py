@@ -170,12 +170,12 @@ def open_recorded(
 
 
 def _check_time(path: str | Path, log: Log) -> None:
-    """Raise LogError for scans whose stamps do not say how fast the robot moves, which has nothing else to say it."""
+    """Raise InputError for scans whose stamps do not say how fast the robot moves, which has nothing else to say it."""
     import numpy as np
 
     stamps = [tick.stamp_ns for tick in log.ticks if tick.scan is not None]
     if len(stamps) > 1 and float(np.median(np.diff(stamps))) < _LEAST_PERIOD_NS:
-        raise LogError(f"{path}: found scans whose stamps tell no time, allowed without odometry: stamps that do")
+        raise InputError(path, "found scans whose stamps tell no time", "without odometry, stamps that do")
 
 
 def of_log(config: Config, log: Log) -> Config:

@@ -182,7 +182,7 @@ def test_a_damaged_table_of_a_campaign_is_named(done: CampaignPlan, old: str, ne
     text = Path("mc/campaign.toml").read_text()
     assert old in text
     Path("mc/campaign.toml").write_text(text.replace(old, new))
-    with pytest.raises(CampaignError, match=said):
+    with pytest.raises(InputError, match=said):
         ss.load_campaign("mc")
 
 

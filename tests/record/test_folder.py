@@ -157,7 +157,7 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
 
 
 @pytest.mark.parametrize(("error", "has_record", "is_left"), [
-    (InputError("bad"), False, False), (InputError("bad"), True, True), (KeyboardInterrupt(), False, False),
+    (InputError("x", "bad"), False, False), (InputError("x", "bad"), True, True), (KeyboardInterrupt(), False, False),
     (RuntimeError("a bug"), False, True),
 ])  # fmt: skip
 def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_the_evidence(

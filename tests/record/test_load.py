@@ -11,7 +11,6 @@ import pytest
 import sixthsense as ss
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
-from sixthsense.figures.panels import FigureError, KINDS
 from sixthsense.figures.run import Run
 from sixthsense.record.stream import FILE, RecordWriter
 from sixthsense.record.trace import Stopwatch
@@ -70,7 +69,7 @@ def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp
     assert run.metrics.keys().isdisjoint({"wall_time_s", "landmarks", "landmarks_culled", "walls_merged"})
     for kind in ("map", "error", "nees", "nis", "stages", "coverage"):
         assert run.plot(kind).png()
-    with pytest.raises(FigureError, match=r"exploration: found a folder without the grid map \(grid.npz\), allowed: "):
+    with pytest.raises(InputError, match=r"exploration: found a folder without the grid map \(grid.npz\), allowed: "):
         run.plot("exploration")
 
 

@@ -9,12 +9,12 @@ import pytest
 import sixthsense as ss
 from sixthsense import cli
 from sixthsense.config import merge
+from sixthsense.config.errors import InputError
 from sixthsense.core import interrupt
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
 from sixthsense.record.folder import RunFolder
-from sixthsense.running.merging import MergeError, Merged, _going_on, merged_log, replay_merged
-from sixthsense.config.errors import InputError
+from sixthsense.running.merging import Merged, _going_on, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.replay_input import Recorded, open_recorded

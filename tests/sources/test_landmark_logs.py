@@ -10,7 +10,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
+from sixthsense.config import AssumedConfig, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.loop.run import replay
@@ -18,8 +18,6 @@ from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.mrclam import polar_observation
-from sixthsense.sources.logs.text_lines import LogError
-from sixthsense.sources.logs.runfolder import read_run
 
 CIRCLED = {1000: (3.0, 1.0), 1001: (0.0, 4.0), 1002: (-2.0, 2.0), 1003: (1.0, -2.0)}
 MOTION = "ODOMETRY {} {} 1.0 0.1 0.2 1e-4 0 0 1e-4 0 1e-4\n"
@@ -155,7 +153,7 @@ def test_the_command_replays_a_log_and_then_its_own_record_to_the_same_estimates
     ("a.xyz", "1 2 3\n", "found no known kind of log"),
 ])  # fmt: skip
 def test_a_log_with_nothing_to_read_is_refused(name, text, said, tmp_path):
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(InputError, match=said):
         open_log(graph(text, tmp_path, name))
 
 
@@ -165,12 +163,12 @@ def test_a_mrclam_folder_is_refused_without_the_robot_that_is_wanted_one_of_seve
         ({"robot": 7}, "no odometry of robot 7, allowed: 3"),
         ({"assumed": assumed}, "range_m 0, allo"),
     ):
-        with pytest.raises(LogError, match=said):
+        with pytest.raises(InputError, match=said):
             open_log(folder(tmp_path / "a"), **given)
-    with pytest.raises(LogError, match="found robots 3, 4, allowed: one, by --robot N"):
+    with pytest.raises(InputError, match="found robots 3, 4, allowed: one, by --robot N"):
         open_log(folder(tmp_path / "a", robot=4))
     (tmp_path / "b").mkdir()
-    with pytest.raises(LogError, match="found no RobotN_Odometry"):
+    with pytest.raises(InputError, match="found no RobotN_Odometry"):
         open_log(graph("3 13\n", tmp_path / "b", "Barcodes.dat").parent)
 
 

@@ -320,5 +320,5 @@ def test_each_robotlaser_line_has_its_own_beams(tmp_path):
     assert log.scans[3].max_range == 81.9 and log.ticks[3].log_stamp_s == 3.0
     assert log.scans[3].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=2e-6)
     assert log.ticks[7].odometry.array() == pytest.approx([0.7, 0.2, 0.3])
-    with pytest.raises(LogError, match="found angles of -90 to 90, which are degrees"):
+    with pytest.raises(InputError, match="found angles of -90 to 90, which are degrees"):
         open_log(carmen(tmp_path / "b.clf", lambda k: line(0).replace("-1.570796 3.141593 0.017453", "-90 180 1")))

@@ -14,8 +14,7 @@ from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
-from sixthsense.sources.scene import Scene, SceneError, load_scene
-from sixthsense.loop.run import run
+from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.walkers import Walkers, walkers_of
 from sixthsense.sources.walking_space import ScriptedWalk, WalkingSpace, check_walks, read_walks
 from sixthsense.sources.world import World
