@@ -14,9 +14,14 @@ def _listen() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def start(*words: str, **options: Any) -> subprocess.Popen[str]:
+def start(*words: str, program: str = "", **options: Any) -> subprocess.Popen[str]:
     # As the installed script does it; with -m Python may end by the signal itself, which a shell shows as 130, too.
-    command = [sys.executable, "-c", "import sys; from sixthsense.cli import main; sys.exit(main())", *words]
+    command = [
+        sys.executable,
+        "-c",
+        f"{program}\nimport sys; from sixthsense.cli import main; sys.exit(main())",
+        *words,
+    ]
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": _listen}
     return subprocess.Popen(command, **(piped | options))
 

@@ -21,7 +21,7 @@ from sixthsense.config.files import read_table
 from sixthsense.config.section import shown
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.sources.scene_files import scene_file
-from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target
+from sixthsense.view import VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -70,8 +70,6 @@ class Common(WithSettings):
     """Replace the folder if it exists."""
     view: Annotated[str | None, arg("[WHERE]"), OptionalValue("window", is_view_target, VIEW_TARGETS)] = None
     """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install 'sixthsense[view]'."""
-    bind: Annotated[str | None, arg("ADDRESS")] = None
-    """With --view browser: address of the server. 127.0.0.1 by default; any host that reaches it can watch."""
     verbose: bool = False
     """Print all metrics at the end."""
 
@@ -156,14 +154,12 @@ def numbered(stem: str) -> Iterator[Path]:
 @contextlib.contextmanager
 def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
     """The hooks of `--view`, none without the option; a browser view stays open after the run until Ctrl-C."""
-    if options.bind is not None and options.view != "browser":
-        raise InputError("bind", "found without `view` browser", "with it")
     if options.view is None:
         yield ()
         return
     from sixthsense.view.recording import View
 
-    with View(options.view, options.bind or LOOPBACK) as view:
+    with View(options.view) as view:
         if view.page:
             announce(f"view: {view.page}")
         yield (view,)

@@ -60,8 +60,6 @@ class Option:
 def help_topic(args: Sequence[str]) -> str | None:
     """What help is asked for: "" for the short one, a section or field, "all"; None if it is not asked for."""
     for word, following in zip(args, [*args[1:], ""], strict=False):
-        if word == "--help-all":
-            return EVERYTHING
         if word in ("-h", "--help"):
             return "" if following.startswith("-") else following
         if word.startswith("--help="):

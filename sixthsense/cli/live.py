@@ -55,8 +55,6 @@ class Live(OnNetwork, WithPriorMap):
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, arg("TOPIC")] = "/cmd_vel"
     """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
-    cmd_vel_stamped: bool = False
-    """With --drive: send TwistStamped alone. A robot that takes Twist is refused."""
 
 
 def command(args: list[str]) -> int:
@@ -74,8 +72,6 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.logs.transforms import frame_pair
     from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
 
-    if options.cmd_vel_stamped and not options.drive:
-        raise InputError("cmd_vel_stamped", "found without `drive`", "with it")
     frames = frame_pair(options.odometry_frames.split(",") if options.odometry_frames else ())
     topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
     config = with_task(options.settings, flags)
@@ -92,7 +88,7 @@ def command(args: list[str]) -> int:
     prior = options.prior_start()
     prepare(announce, config, of_log=not options.drive)
     with Session(network, topics, config, announce) as session:
-        session.configure(stated, options.drive, options.cmd_vel_stamped)
+        session.configure(stated, options.drive)
         config = session.config
         source = {"scan": topics.scan, "odom": topics.odom}
         if frames is not None:

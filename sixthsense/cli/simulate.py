@@ -22,14 +22,6 @@ class Simulate(OnNetwork, OfScene):
 
     timeout: Annotated[float, Range(0.0, 60.0), arg("S")] = 0.3
     """A command moves the robot for at most this long, s."""
-    late: Annotated[float, Range(0.0, 1.0), arg("SHARE")] = 0.0
-    """Share of scans sent up to 0.5 s late."""
-    lost: Annotated[float, Range(0.0, 1.0), arg("SHARE")] = 0.0
-    """Share of scans that are not sent."""
-    twice: Annotated[float, Range(0.0, 1.0), arg("SHARE")] = 0.0
-    """Share of scans that are sent twice."""
-    cmd_vel_stamped: bool = False
-    """Take commands as geometry_msgs/TwistStamped. By default as Twist."""
     truth: Annotated[Path | None, arg("FILE")] = None
     """Write the true trajectory. TUM format, with the stamps of the messages."""
 
@@ -40,17 +32,15 @@ def command(args: list[str]) -> int:
     config = options.settings_of_scene(flags)
     network = options.network()
     from sixthsense.api import with_task
-    from sixthsense.live.reading import TWIST, TWIST_STAMPED
-    from sixthsense.live.simulated import Disturbance, SimulatedRobot, drive_by_commands
+    from sixthsense.live.reading import TWIST
+    from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
     from sixthsense.running.runs import Watch, simulate
     from sixthsense.running.warmup import prepare
     from sixthsense.sources.mission import mission_of
 
     drives_itself = bool({"task", "goal", "tour"} & set(flags))
     config, task = mission_of(with_task(config, flags))
-    disturbance = Disturbance(options.late, options.lost, options.twice)
-    commands = TWIST_STAMPED if options.cmd_vel_stamped else TWIST
-    with SimulatedRobot(network, config, disturbance, None if drives_itself else commands) as robot:
+    with SimulatedRobot(network, config, None if drives_itself else TWIST) as robot:
         prepare(announce)
         robot.begin(options.truth)
         announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")

@@ -98,7 +98,7 @@ class Session:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def configure(self, stated: tuple[str, ...], drive: bool, stamped: bool = False) -> None:
+    def configure(self, stated: tuple[str, ...], drive: bool) -> None:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
 
         `stated` names the fields of `config.laser` that take precedence over the robot's messages. A robot that is to
@@ -112,7 +112,7 @@ class Session:
         topics = self._topics
         needed = topics.scan if self.config.no_odometry else f"{topics.scan} and {topics.odom}"
         self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
-        scans, self._robot, found = self._first_messages(drive, stamped)
+        scans, self._robot, found = self._first_messages(drive)
         stamps = sorted(scans)
         if turns := found_turns([scans[stamp] for stamp in stamps], self._laser.frame):
             raise InputError(topics.scan, turns)
@@ -185,13 +185,13 @@ class Session:
         self._odometry.take()
         self._scans.take()
 
-    def _first_messages(self, drive: bool, stamped: bool) -> tuple[dict[int, Scan], RobotPose, bytes]:
+    def _first_messages(self, drive: bool) -> tuple[dict[int, Scan], RobotPose, bytes]:
         """The latest scans by their stamps, the first odometry, and a scan."""
         scans: dict[int, Scan] = {}
         odometry: RobotPose | None = RobotPose(0, Pose(), "odom", "") if self.config.no_odometry else None
         last = b""
         hint_s = time.monotonic() + _HINT_S
-        while self._is_robot_missing(drive, stamped) or len(scans) <= _PERIODS or odometry is None:
+        while self._is_robot_missing(drive) or len(scans) <= _PERIODS or odometry is None:
             if is_command_ended():
                 raise KeyboardInterrupt
             if time.monotonic() > hint_s:
@@ -216,12 +216,12 @@ class Session:
                     self.notices.unusable("scan" if is_scan else "odometry", error)
         return scans, odometry, last
 
-    def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
+    def _is_robot_missing(self, drive: bool) -> bool:
         """Whether nobody takes the commands of a robot that is to be driven; InputError if there is another robot."""
         is_topic = self._topics.frames is None and not self.config.no_odometry
         for reader in (self._scans, self._odometry) if is_topic else (self._scans,):
             check_one_publisher(reader)
-        self._commands = command_type(self._node, self._topics.cmd_vel, stamped) if drive else None
+        self._commands = command_type(self._node, self._topics.cmd_vel) if drive else None
         return drive and self._commands is None
 
     def _mount(self) -> tuple[Pose, bool]:
@@ -269,7 +269,7 @@ def check_one_publisher(reader: Reader) -> None:
         raise InputError(reader.topic.name, found, "one robot; `scan` and `odom` name its topics, `domain` its network")
 
 
-def command_type(node: Node, topic: str, is_stamped: bool) -> str | None:
+def command_type(node: Node, topic: str) -> str | None:
     """The type of the commands that a robot takes, by its subscription; None before there is one.
 
     `is_stamped` demands TwistStamped. Raises InputError for several subscribers, since each may be a robot, and for
@@ -281,11 +281,9 @@ def command_type(node: Node, topic: str, is_stamped: bool) -> str | None:
     if len(found) > 1:
         raise InputError(topic, f"found {len(found)} subscribers", "one, as each may be a robot that drives")
     (kind, _) = found[0]
-    allowed = (TWIST_STAMPED,) if is_stamped else (TWIST, TWIST_STAMPED)
+    allowed = (TWIST, TWIST_STAMPED)
     if kind in allowed:
         return kind
-    if kind == TWIST:
-        raise InputError("cmd_vel_stamped", f"found a subscriber of {TWIST} on {topic}", "without this option")
     raise InputError(topic, f"found a subscriber of {shown(kind)}", f"{' or '.join(allowed)}")
 
 

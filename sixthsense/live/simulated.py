@@ -40,11 +40,11 @@ def cmd_vel(kind: str = TWIST) -> Topic:
 class Disturbance(NamedTuple):
     """What the network does to scans, as shares of them."""
 
-    late: float
+    late: float = 0.0
     """sent up to half a second late"""
-    lost: float
+    lost: float = 0.0
     """not sent"""
-    twice: float
+    twice: float = 0.0
     """sent twice"""
 
     def delays(self, rng: np.random.Generator) -> list[float]:
@@ -57,7 +57,9 @@ class Disturbance(NamedTuple):
 class SimulatedRobot:
     """Sends the ticks of a simulated world as messages, stamped with this machine's clock. A context manager."""
 
-    def __init__(self, network: Network, config: Config, disturbance: Disturbance, commands: str | None) -> None:
+    def __init__(
+        self, network: Network, config: Config, commands: str | None, disturbance: Disturbance | None = None
+    ) -> None:
         """Join the network; `commands` is the type of those that drive the robot, None if it drives by itself."""
         self._file: TextIO | None = None
         self._node = Node(network)
@@ -65,7 +67,7 @@ class SimulatedRobot:
         self._messages, self._reader = Messages(), MessageReader()
         self._kind = commands
         self._mount = Pose(*config.laser.mount)
-        self._disturbance = disturbance
+        self._disturbance = disturbance or Disturbance()
         self._rng = np.random.default_rng([config.seed, 1])  # apart from the world's, which is then undisturbed
         self._late: list[tuple[float, bytes]] = []
         self._sent = 0

@@ -40,7 +40,7 @@ def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:
     try:
         ipaddress.ip_address(address)
     except ValueError:
-        raise InputError("bind", f"found {shown(address)}", "an IP address of this machine") from None
+        raise InputError("address", f"found {shown(address)}", "an IP address of this machine") from None
     if find_spec("rerun") is None:
         raise InputError("view", "needs Rerun, which is not installed", "after pip install 'sixthsense[view]'")
     on_linux = sys.platform.startswith("linux")

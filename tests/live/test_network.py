@@ -113,7 +113,7 @@ def test_a_robot_that_cannot_be_driven_alone_is_refused(node, topics, message):
         node.reader(topic)
     wait_until(lambda: len(node.subscribers("/cmd_vel")) == len(topics))
     with pytest.raises(InputError, match=message):
-        command_type(node, "/cmd_vel", False)
+        command_type(node, "/cmd_vel")
 
 
 def test_a_second_simulator_finds_the_topics_of_the_first(node):

@@ -44,7 +44,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
     world = World(load_scene("rectangle").walls, START, 0.2, config, np.random.default_rng(0))
     is_over, ticks = threading.Event(), []
     with (
-        SimulatedRobot(Network(DOMAIN), config, Disturbance(0.0, 0.0, 0.0), TWIST_STAMPED) as robot,
+        SimulatedRobot(Network(DOMAIN), config, TWIST_STAMPED) as robot,
         Session(Network(DOMAIN), Topics().checked(), preset("log"), lambda _: None) as session,
     ):
         odometry, frames = node.reader(simulated.ODOM), node.reader(simulated.TF_STATIC)
