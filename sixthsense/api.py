@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from sixthsense.config import Config, merge, preset
+from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute
@@ -56,8 +56,9 @@ def run(
     **fields
         Fields of the configuration by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
         `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
-        sections as mappings, `laser={"beams": 181}`. `estimator` and `planner` may be a class or function of your own
-        (see `ss.register_estimator`).
+        sections as tables, `laser={"beams": 181}`, or as objects, `laser=ss.LaserConfig(beams=181)`: what they state
+        replaces the preset's values. `estimator` and `planner` may be a class or function of your own (see
+        `ss.register_estimator`).
 
     Returns
     -------
@@ -241,8 +242,7 @@ def _open_with_config(
     base = given.pop("preset", None) if config is None else config
     check_out(log, None if out is None else Path(out))
     settings = _apply_fields(base_of(log) if base is None else base, given)
-    stated = tuple(given["laser"]) if isinstance(given.get("laser"), Mapping) else ()
-    return open_recorded(log, settings, relations, chosen, stated)
+    return open_recorded(log, settings, relations, chosen)
 
 
 def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
@@ -269,11 +269,11 @@ def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
 
 
 def _register_custom(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields, with custom estimators and planners registered and replaced by their names."""
+    """The fields, sections as tables, with custom estimators and planners registered and replaced by their names."""
     from sixthsense.navigation.planners import register_planner
     from sixthsense.slam.estimators import register_estimator
 
-    given = dict(fields)
+    given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
     registers: dict[str, Callable[[str, Any], None]] = {"estimator": register_estimator, "planner": register_planner}
     for field, register in registers.items():
         value = given.get(field)

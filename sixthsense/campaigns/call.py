@@ -13,7 +13,7 @@ from sixthsense.campaigns.cluster import check_workers, connect, execute
 from sixthsense.campaigns.folder import Rows, check_folder, check_rows, read_folder, save_folder
 from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
 from sixthsense.campaigns.worker import FAILED
-from sixthsense.config import Config, merge, preset
+from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
 from sixthsense.config.names import ESTIMATORS, PLANNERS, Names
@@ -124,7 +124,7 @@ def campaign(
         another campaign or of a run; a missing package of the extra `campaign`.
 
     """
-    given: dict[str, Any] = dict(fields)
+    given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
     planned = _plan(scenes, seeds, given)
     execution = Execution(_worker_count(workers), None, retry_failed, progress)
     complete(planned, plan(planned), Path(out), execution)

@@ -81,14 +81,13 @@ def command(args: list[str]) -> int:
         check_drive(config)
     if config.no_odometry:
         announce(WITHOUT_ODOMETRY)
-    stated = tuple(flags.get("laser", {}))
-    for name in stated:
+    for name in flags.get("laser", {}):
         if name not in ("mount", "max_range"):
             raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
     prior = options.prior_start()
     prepare(announce, config, of_log=not options.drive)
     with Session(network, topics, config, announce) as session:
-        session.configure(stated, options.drive)
+        session.configure(options.drive)
         config = session.config
         source = {"scan": topics.scan, "odom": topics.odom}
         if frames is not None:

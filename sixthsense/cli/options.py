@@ -164,7 +164,8 @@ def with_options(error: InputError, command: type[Options]) -> str:
     if command.takes_fields:
         flags |= {flag for flag, _ in config_flags(Config)} - {flag_of(positional_of(command))}
     name, *rest = re.split(r"(?=[, ])", error.where, maxsplit=1)
-    where = "".join([flag_of(name), *rest]) if flag_of(name) in flags else error.where
+    is_option = any(f"{flag}.".startswith(f"{flag_of(name)}.") for flag in flags)  # a section of options, too
+    where = "".join([flag_of(name), *rest]) if is_option else error.where
     return as_options(str(error.at(where)))
 
 

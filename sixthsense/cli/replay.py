@@ -9,7 +9,6 @@ from typing import Annotated, ClassVar
 from sixthsense.cli.common import WithPriorMap, announce, live_view, parse_command, run_folder, show_end
 from sixthsense.cli.options import arg, positional
 from sixthsense.config.errors import InputError
-from sixthsense.config.files import read_table
 from sixthsense.config.names import OF_THE_ROBOT
 
 
@@ -53,16 +52,9 @@ def command(args: list[str]) -> int:
     from sixthsense.running.runs import Watch, replay_log
 
     prior = options.prior_start()
-    stated = {*flags.get("laser", {}), *_laser_of(options.config)}
-    found = open_recorded(options.log, options.settings, options.relations, chosen, stated)
+    found = open_recorded(options.log, options.settings, options.relations, chosen)
     for note in found.notes:
         announce(f"note: {found.name}: {note}")
     stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
     with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
         return show_end(replay_log(found, folder, Watch(hooks, say=announce), prior), options.verbose)
-
-
-def _laser_of(file: Path | None) -> list[str]:
-    """The fields of the laser that a configuration file states: all of a replay's, and none of a simulated run's."""
-    table = {} if file is None else read_table(file)
-    return list(table.get("laser", {})) if "replayed" in table or "versions" not in table else []

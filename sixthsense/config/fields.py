@@ -1,29 +1,26 @@
 """The fields that `ss.run` and its kin take by name: what a type checker accepts and an editor completes.
 
-They mirror the configuration, and a test compares the two.
+A section is given as an object or as a table; what it states replaces the values of the preset. A test compares the
+names and types with those of `Config`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypedDict
 
-from sixthsense.config.section_fields import (
-    AssociationFields,
-    AssumedFields,
-    ExploreFields,
-    FeaturesFields,
-    FollowFields,
-    GridFields,
-    ISAM2Fields,
-    KeyframeFields,
-    LaserFields,
-    RobotFields,
-    RRTStarFields,
-    SafetyFields,
-    ScansFields,
-    WorldFields,
+from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
+from sixthsense.config.pipeline import (
+    AssociationConfig,
+    FeaturesConfig,
+    GridConfig,
+    ISAM2Config,
+    KeyframeConfig,
+    ScansConfig,
 )
+from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
+
+Table = Mapping[str, Any]
 
 
 class _EstimateFields(TypedDict, total=False):
@@ -35,15 +32,15 @@ class _EstimateFields(TypedDict, total=False):
     no_odometry: bool
     people: bool | None
     max_time: float | None
-    laser: LaserFields
-    assumed: AssumedFields
-    keyframes: KeyframeFields
-    features: FeaturesFields
-    association: AssociationFields
-    scans: ScansFields
-    isam2: ISAM2Fields
-    grid: GridFields
-    safety: SafetyFields
+    laser: LaserConfig | Table
+    assumed: AssumedConfig | Table
+    keyframes: KeyframeConfig | Table
+    features: FeaturesConfig | Table
+    association: AssociationConfig | Table
+    scans: ScansConfig | Table
+    isam2: ISAM2Config | Table
+    grid: GridConfig | Table
+    safety: SafetyConfig | Table
 
 
 class _WorldFields(_EstimateFields, total=False):
@@ -55,11 +52,11 @@ class _WorldFields(_EstimateFields, total=False):
     start: Sequence[float] | None
     region: Sequence[float] | None
     map_unknown: Literal["wall", "free"]
-    robot: RobotFields
-    world: WorldFields
-    rrtstar: RRTStarFields
-    follow: FollowFields
-    explore: ExploreFields
+    robot: RobotConfig | Table
+    world: WorldConfig | Table
+    rrtstar: RRTStarConfig | Table
+    follow: FollowConfig | Table
+    explore: ExploreConfig | Table
 
 
 class Fields(_WorldFields, total=False):

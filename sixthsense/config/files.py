@@ -25,16 +25,18 @@ NOTES = ("versions", "replayed", "prior_map")
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
     """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
 
-    Raises InputError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
+    The fields of a file count as stated, but for the saved configuration of a simulated run, which has them all. Raises
+    InputError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
     """
     path = Path(file)
     table = read_table(path)
-    for note in NOTES:
-        table.pop(note, None)
+    notes = [table.pop(note, None) for note in NOTES]
     try:
-        return merge(base or preset(table.get("preset", otherwise)), table)
+        config = merge(base or preset(table.get("preset", otherwise)), table)
     except InputError as error:
         raise error.within(path) from None
+    has_all, is_replayed = (note is not None for note in notes[:2])
+    return config.as_implied() if has_all and not is_replayed else config
 
 
 def read_table(file: str | Path) -> dict[str, Any]:

@@ -106,4 +106,4 @@ def preset(name: str = "default", **changes: Unpack[Fields]) -> Config:
     """
     if name not in tuple(PRESETS):  # a file may hold a list there, which is not hashable
         raise InputError("preset", f"found {shown(name)}", ", ".join(PRESETS), nearest(name, PRESETS))
-    return merge(merge(Config(preset=name), PRESETS[name]), changes)
+    return merge(merge(Config(preset=name), PRESETS[name]).as_implied(), changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import dataclasses
 import inspect
 import itertools
@@ -15,7 +16,7 @@ import typing
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.names import Names
@@ -92,7 +93,35 @@ Distribution = Literal["gaussian", "uniform"]
 
 
 class Section:
-    """A node of the tree; creation checks each field against its annotation and coerces it."""
+    """A node of the tree, which knows what was stated; creation checks each field by its annotation and coerces it."""
+
+    _explicit = frozenset[str]()  # of an instance its own
+
+    def __new__(cls, *args: Any, **given: Any) -> Self:
+        """A section whose `explicit_fields` are the arguments."""
+        section = super().__new__(cls)
+        positional = (field.name for field in dataclasses.fields(typing.cast(Any, cls))[: len(args)])
+        object.__setattr__(section, "_explicit", frozenset((*positional, *given)))
+        return section
+
+    @property
+    def explicit_fields(self) -> frozenset[str]:
+        """Names of the fields that a caller, a file or an option has stated; all others are defaults or of a preset."""
+        return self._explicit
+
+    def explicit_table(self) -> dict[str, Any]:
+        """The fields that were stated, nested as in a file."""
+        table = {name: getattr(self, name) for name in vars(self) if name in self._explicit}
+        return {name: value.explicit_table() if isinstance(value, Section) else value for name, value in table.items()}
+
+    def as_implied(self) -> Self:
+        """The same values, of which none counts as stated."""
+        same = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Section):
+                object.__setattr__(same, name, value.as_implied())
+        object.__setattr__(same, "_explicit", frozenset())
+        return same
 
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
@@ -163,9 +192,10 @@ def checked(name: str, hint: Any, value: Any) -> Any:
 
 
 def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
-    """`base` with the fields that `table` (nested, as a TOML file is) names replaced.
+    """`base` with the fields that `table` (nested, as a TOML file is) names replaced; they count as stated then.
 
-    Raises InputError with the dotted name of a field that does not exist or whose value is not allowed.
+    A section in it replaces those fields of its own that were stated. Raises InputError with the dotted name of a field
+    that does not exist or whose value is not allowed.
     """
     known = {f.name: f for f in dataclasses.fields(typing.cast(Any, base))}
     changes: dict[str, Any] = {}
@@ -173,6 +203,8 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
         if name not in known:
             raise InputError(f"{path}{shown_name(name)}", "no such field", ", ".join(known), nearest(name, known))
         current = getattr(base, name)
+        if isinstance(value, Section):
+            value = value.explicit_table()
         if isinstance(current, Section):
             if not isinstance(value, Mapping):
                 raise InputError(f"{path}{name}", f"found {shown(value)}", "a table")
@@ -183,9 +215,11 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
             except InputError as error:
                 raise error.at(f"{path}{error.where}") from None
     try:
-        return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
+        merged = typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
     except InputError as error:  # fields that are inconsistent with each other
         raise error.at(f"{path}{error.where}") from None
+    object.__setattr__(merged, "_explicit", base.explicit_fields | changes.keys())
+    return merged
 
 
 def as_table(section: Section) -> dict[str, Any]:

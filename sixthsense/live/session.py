@@ -98,15 +98,16 @@ class Session:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def configure(self, stated: tuple[str, ...], drive: bool) -> None:
+    def configure(self, drive: bool) -> None:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
 
-        `stated` names the fields of `config.laser` that take precedence over the robot's messages. A robot that is to
-        be driven must subscribe to its commands, with `stamped` to TwistStamped. InputError if another robot sends on
-        these topics, or takes the commands.
+        Mount and maximum range take precedence over the robot's messages where `config.laser` states them. A robot that
+        is to be driven must subscribe to its commands. InputError if another robot sends on these topics, or takes the
+        commands.
         """
         self._maps = self._open.enter_context(MapSender(self._network, self._say))  # some seconds before it is needed
         laser = self.config.laser
+        stated = laser.explicit_fields
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
         topics = self._topics

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -125,12 +125,11 @@ def open_recorded(
     config: Config,
     relations: str | Path | Relations | None = None,
     chosen: Chosen | None = None,
-    stated: Collection[str] = (),
 ) -> Recorded:
     """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
 
-    `stated` names the fields of `config.laser` that take precedence over the log even at their defaults. Raises
-    InputError for an invalid file, and for relations none of which has stamps of scans.
+    Fields of `config.laser` that were stated take precedence over the log. Raises InputError for an invalid file, and
+    for relations none of which has stamps of scans.
     """
     from sixthsense.sources.logs import open_log
     from sixthsense.sources.logs.log import read_relations
@@ -153,7 +152,7 @@ def open_recorded(
     else:
         given = relations
     uses_odometry = not config.no_odometry
-    opened = open_log(log, config.laser, topics, robot, config.assumed, stated, frames, uses_odometry, units)
+    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, uses_odometry, units)
     notes: list[str] = []
     if given is not None:
         given = relations_of(opened, given, str(relations) if from_file else "relations", notes)

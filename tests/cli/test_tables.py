@@ -51,7 +51,7 @@ def settings(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Config]:
 
     def catch(*args: Any, **_: Any) -> None:
         found.append(next(one for one in args if isinstance(one, Config)))
-        raise CaughtError("caught")
+        raise CaughtError("settings", "caught")
 
     for name in (
         "running.runs.simulate", "sources.replay_input.open_recorded", "live.session.Session",

@@ -1,18 +1,20 @@
-"""The typed dictionaries of keyword arguments say what the configuration takes."""
+"""The typed dictionaries of keyword arguments say what the configuration takes; sections know what was stated."""
 
+import dataclasses
 import inspect
+import pickle
 import subprocess
 import sys
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 
 import sixthsense as ss
-from sixthsense.config import Section, fields, section_fields
+from sixthsense.config import LaserNoise, MotionNoise, Section, fields
 
 CALLS = {
     ss.run: fields.RunFields,
@@ -31,25 +33,12 @@ def argument(hint: Any) -> Any:
         return Sequence[argument(args[0])]
     if origin in (typing.Union, types.UnionType):
         return typing.Union[tuple(map(argument, args))]  # noqa: UP007
-    if isinstance(hint, type) and issubclass(hint, Section):
-        return getattr(section_fields, f"{hint.__name__.removesuffix('Config')}Fields")
-    return hint
-
-
-def arguments(section: type) -> dict[str, Any]:
-    hints = typing.get_type_hints(section, include_extras=True)
-    return {name: argument(hint) for name, hint in hints.items()}
-
-
-def sections(section: type) -> set[type]:
-    below = [hint for hint in typing.get_type_hints(section).values() if isinstance(hint, type)]
-    return {section}.union(*(sections(one) for one in below if issubclass(one, Section)))
+    return hint | Mapping[str, Any] if isinstance(hint, type) and issubclass(hint, Section) else hint
 
 
 def test_the_typed_fields_are_those_of_the_configuration() -> None:
-    assert typing.get_type_hints(fields.Fields) == arguments(ss.Config)
-    for section in sections(ss.Config) - {ss.Config}:
-        assert typing.get_type_hints(argument(section)) == arguments(section), section
+    hints = typing.get_type_hints(ss.Config, include_extras=True)
+    assert typing.get_type_hints(fields.Fields) == {name: argument(hint) for name, hint in hints.items()}
 
 
 def test_every_call_takes_typed_fields_that_it_knows() -> None:
@@ -60,14 +49,44 @@ def test_every_call_takes_typed_fields_that_it_knows() -> None:
     assert {"task", "goal", "start", "world", "robot"}.isdisjoint(typing.get_type_hints(fields.ReplayFields))
 
 
+def test_what_a_section_states_replaces_the_preset_and_all_else_stays() -> None:
+    report = ss.preset("report")
+    laser, motion = ss.LaserConfig(fov=2.5), MotionNoise("uniform", turn_rate=0.3)
+    world = ss.WorldConfig(motion=motion, laser=LaserNoise(bearing_rad=0.02))
+    table = {
+        "laser": {"fov": 2.5},
+        "world": {"motion": {"distribution": "uniform", "turn_rate": 0.3}, "laser": {"bearing_rad": 0.02}},
+    }
+    found = ss.preset("report", laser=laser, world=world)
+    assert found == ss.preset("report", **table) == ss.merge(report, table)  # type: ignore[arg-type]
+    assert found.laser == dataclasses.replace(report.laser, fov=2.5) and found.laser.beams == 180
+    # A value that is the default's counts, too.
+    assert ss.merge(report, {"laser": ss.LaserConfig(beams=360)}).laser.beams == 360
+
+
+def test_a_section_knows_what_was_stated(tmp_path: Path) -> None:
+    assert ss.LaserConfig(360, max_range=4.5).explicit_fields == {"beams", "max_range"}
+    assert ss.preset("report").laser.explicit_fields == ss.Config().laser.explicit_fields == set()
+    once = ss.merge(ss.preset("report"), {"laser": {"max-range": 4.5}})
+    twice = ss.merge(once, {"seed": 3, "laser": {"beams": 90}})
+    assert once.laser.explicit_fields == {"max_range"} and twice.laser.explicit_fields == {"beams", "max_range"}
+    assert twice.as_implied() == twice and twice.as_implied().laser.explicit_fields == set()
+    assert pickle.loads(pickle.dumps(twice)).laser.explicit_fields == {"beams", "max_range"}
+    (tmp_path / "part.toml").write_text("laser.fov = 2.0\n")
+    assert ss.load_config(tmp_path / "part.toml", twice).laser.explicit_fields == {"beams", "fov", "max_range"}
+    for replayed, count in ((None, 0), ({"log": "a.log"}, len(dataclasses.fields(ss.LaserConfig)))):
+        ss.save_config(twice, tmp_path / "saved.toml", replayed)
+        assert len(ss.load_config(tmp_path / "saved.toml").laser.explicit_fields) == count
+
+
 @pytest.mark.slow
 def test_a_type_checker_rejects_a_misspelt_field(tmp_path: Path) -> None:
     lines = [
         "import sixthsense as ss",
         'ss.run("apartment", estimator="ekf", laser={"beams": 90}, goal=(1, 2.5), max_time=None)',
         'ss.run("apartment", estimatr="ekf")',
-        'ss.run("apartment", laser={"beam": 90})',
-        'ss.replay("a.log", robot=3, front_end="landmarks")',
+        'ss.run("apartment", laser=ss.LaserConfig(beam=90))',
+        'ss.replay("a.log", robot=3, front_end="landmarks", laser=ss.LaserConfig(max_range=8.0))',
         'ss.replay("a.log", seed="3")',
         'ss.preset("worn", estimatr="ekf")',
         'ss.campaign("apartment", seeds=range(3), out="c", estimator=["ekf", "isam2"])',

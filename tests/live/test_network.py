@@ -154,7 +154,7 @@ def test_two_lasers_in_turn_are_told_in_one_line():
         robot.start()
         try:
             with pytest.raises(InputError, match=r"^/scan: found scans of two lasers in turn, all of frame .*$"):
-                session.configure((), False)
+                session.configure(False)
         finally:
             is_over.set()
             robot.join()

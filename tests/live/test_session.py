@@ -60,11 +60,11 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
         thread = threading.Thread(target=drive)
         thread.start()
         try:
-            session.configure((), True)
+            session.configure(True)
             driven = session.config
             stated = dataclasses.replace(driven.laser, mount=(0.3, 0.4, -0.5), max_range=3.5)
             session.config = dataclasses.replace(driven, laser=stated)
-            session.configure(("mount", "max_range"), False)
+            session.configure(False)
         finally:
             is_over.set()
             thread.join()

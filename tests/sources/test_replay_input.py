@@ -44,13 +44,13 @@ def test_the_base_of_a_replay_is_that_of_the_kind_of_its_log(logs) -> None:
 
 OPTIONS = [
     # what is given, and the kinds of logs on which it is allowed
-    ({}, Chosen(topics=("/scan",)), "topic", {"bag"}),
-    ({}, Chosen(odometry_frames=("odom", "base")), "odometry-frames", {"bag"}),
+    ({}, Chosen(topics=("/scan",)), "topics", {"bag"}),
+    ({}, Chosen(odometry_frames=("odom", "base")), "odometry_frames", {"bag"}),
     ({}, Chosen(robot=3), "robot", {"mrclam"}),
     ({"preset": "log"}, Chosen(), "preset", {"carmen", "graph", "bag", "mrclam"}),
     ({"laser": {"max_range": 7.0}}, Chosen(), "laser.max_range", {"carmen"}),
     ({"laser": {"mount": (0.2, 0.3, 0.4)}}, Chosen(), "laser.mount", {"carmen", "run", "bag"}),
-    ({"no_odometry": True}, Chosen(), "no-odometry", {"carmen", "run", "bag"}),
+    ({"no_odometry": True}, Chosen(), "no_odometry", {"carmen", "run", "bag"}),
     ({"keyframes": {"distance_m": 0.3}}, Chosen(), "keyframes.distance_m", {"carmen", "run", "bag"}),
     ({"assumed": {"landmark_floor_m": 0.3}}, Chosen(), "assumed.landmark_floor_m", {"carmen", "run", "bag", "mrclam"}),
     ({"robot": {"speed": 0.3}}, Chosen(), "robot.speed", set()),
@@ -63,10 +63,10 @@ OPTIONS = [
 def test_an_option_is_refused_on_the_logs_to_which_it_does_not_apply(logs, fields, chosen, option, allowed) -> None:
     for kind, log in logs.items():
         if kind in allowed:
-            check_options(log, fields, chosen, "--")
+            check_options(log, fields, chosen)
         else:
-            with pytest.raises(InputError, match=f"^--{option}: found on "):
-                check_options(log, fields, chosen, "--")
+            with pytest.raises(InputError, match=f"^{option}: found on "):
+                check_options(log, fields, chosen)
 
 
 def test_a_replay_does_not_write_over_its_own_log(tmp_path: Path) -> None:
@@ -84,11 +84,11 @@ def test_a_log_is_opened_with_its_laser_or_the_one_stated_and_without_odometry_i
     assert (found.name, found.config.laser.beams, found.config.laser.max_range) == ("a.log", 3, 4.0)
     mount = Pose(theta=0.7).inverse() @ Pose(0.2, 0.2, 0.7)  # in the axes of the robot
     assert found.config.laser.mount == pytest.approx(tuple(mount.array()), abs=1e-6)
-    stated = open_recorded(logs["carmen"], preset("log"), stated=("mount", "max_range"))
+    stated = open_recorded(logs["carmen"], preset("log", laser={"mount": (0.0, 0.0, 0.0), "max_range": 10.0}))
     assert (stated.config.laser.mount, stated.config.laser.max_range) == ((0.0, 0.0, 0.0), 10.0)
     assert open_recorded(logs["bag"], base).config.no_odometry is False
     without = open_recorded(logs["bag"], merge(base, {"no_odometry": True}), chosen=Chosen(topics=("/scan",)))
-    assert not without.log.has_odometry and without.files["topic"] == "/scan"
+    assert not without.log.has_odometry and without.files["topics"] == "/scan"
     assert any(note.startswith("no odometry is used") for note in without.notes)
     with Bag(logs["run"].parent / "scans") as bag:
         bag.scan(S, [2.5, 3.5, 4.5])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -25,19 +25,18 @@ def open_log(
     topics: Sequence[str] = (),
     robot: int | None = None,
     assumed: AssumedConfig | None = None,
-    stated: Collection[str] = (),
     odometry_frames: Sequence[str] = (),
     odometry: bool = True,
     units: Sequence[str] = (),
 ) -> Log:
     """Open a log, a file or a folder, with the reader of its kind, recognised by the name, of a bag by its first bytes.
 
-    The log says what its laser is. Fields of `laser` take precedence that are not at the default of LaserConfig or are
-    named in `stated`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames` the parent and
-    the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot of a MRCLAM
-    folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. `units` says
-    which units a bag or a CARMEN log has, such as `ranges=mm`. Raises InputError for an unknown kind, with the known
-    ones, and for a file that the reader cannot read.
+    The log says what its laser is. Fields of `laser` that were stated take precedence, such as that of
+    `ss.LaserConfig(max_range=8.0)`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames`
+    the parent and the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot
+    of a MRCLAM folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam.
+    `units` says which units a bag or a CARMEN log has, such as `ranges=mm`. Raises InputError for an unknown kind, with
+    the known ones, and for a file that the reader cannot read.
     """
     from sixthsense.config import LaserConfig
     from sixthsense.sources.logs.units import units_of
@@ -47,7 +46,7 @@ def open_log(
     if kind == "carmen":
         from sixthsense.sources.logs.carmen import read_carmen
 
-        return read_carmen(path, laser, stated, own_units)
+        return read_carmen(path, laser, own_units)
     if kind == "graph":
         from sixthsense.sources.logs.graph import read_graph
 
@@ -62,7 +61,13 @@ def open_log(
         from sixthsense.sources.logs.rosbag import How, read_bag
         from sixthsense.sources.logs.transforms import frame_pair
 
-        how = How(topics, frame_pair(odometry_frames), odometry, "mount" in stated, own_units)
+        how = How(
+            topics,
+            frame_pair(odometry_frames),
+            odometry,
+            laser is not None and "mount" in laser.explicit_fields,
+            own_units,
+        )
         return read_bag(path, laser or LaserConfig(), how)
     if kind == "mrclam":
         from sixthsense.config import preset

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -95,25 +94,22 @@ class _Lines:
     unmeasured: int = 0  # ranges that are negative or no number
 
 
-def read_carmen(
-    file: str | Path, laser: LaserConfig | None = None, stated: Collection[str] = (), units: Units = SI
-) -> Log:
+def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units = SI) -> Log:
     """Read a CARMEN log: plain, gzip or bzip2, recognised by the first bytes.
 
     The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more, ROBOTLASER1 if they are as many;
     other messages, as those of a rear laser, are skipped. The lines say the number of beams, their directions (a
     FLASER line by its number of beams, see `beams_by_count`), the laser's mount on the robot (the difference of the
     two poses of a line) and its maximum range (as stated, or the value that beams without a return repeat). A field of
-    `laser` that is named in `stated`, or differs from the default of LaserConfig, takes precedence.
+    `laser` that was stated takes precedence.
 
     Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Each scan has the beams
     and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
     each has the stamp of its record, or 1 ns after the previous tick if that is later; stamps below 0 are moved. Raises
     InputError for a file that cannot be read, is no CARMEN log, is in other `units`, or has no scan with a return.
     """
-    path, given, default = Path(file), laser or LaserConfig(), LaserConfig()
-    names = {f.name for f in dataclasses.fields(LaserConfig) if getattr(given, f.name) != getattr(default, f.name)}
-    names |= set(stated)
+    path, given = Path(file), laser or LaserConfig()
+    names = given.explicit_fields
     remarks: list[str] = []
     content = _read_lines(path, units, remarks)
     kind = _kind_of_scans(path, content, remarks)
