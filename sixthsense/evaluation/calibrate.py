@@ -89,7 +89,7 @@ def drive_samples(
 ) -> tuple[Array, list[Sample]]:
     """Drive with a random speed and a random turn rate to the left in each sample; return the walls and the samples.
 
-    The truth is used to avoid collisions: a command that leads too close to a wall is drawn again, or replaced by a
+    The truth is used to avoid collisions: a command that leads too close to a wall or glass is drawn again, or replaced by a
     turn on the spot. After a collision the robot restarts at its start.
     """
     scene = load_scene(config.scene, config.map_unknown)
@@ -98,12 +98,12 @@ def drive_samples(
     radius_m = config.robot.radius or scene.radius
     out: list[Sample] = []
     for _ in range(_STARTS):
-        world = World(scene.walls, start, radius_m, config, world_rng)
+        world = World(scene.walls, start, radius_m, config, world_rng, scene.glass)
         tick = world.step(Command())
         while tick is not None and len(out) < samples:
             assert tick.truth is not None
             began, began_ns, track = tick.truth, tick.stamp_ns, [tick.odometry]
-            command = _command(began, scene.walls, radius_m, config, drive_rng)
+            command = _command(began, scene.solid, radius_m, config, drive_rng)
             # A sample ends at the first scan after its duration, so a slow laser makes longer samples.
             while (tick := world.step(command)) is not None and not tick.collided:
                 track.append(tick.odometry)

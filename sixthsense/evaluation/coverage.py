@@ -83,11 +83,13 @@ def visible_area(
     radius: float,
     laser_range: float,
     cell_m: float = 0.05,
+    glass: Array | None = None,
 ) -> VisibleArea:
     """The free area in the region, at least a cell away from walls, that is visible from reachable positions.
 
     `walls` (N, 2, 2); `region` x0 y0 x1 y1; `start` x y of a disc of `radius`; all in the world frame, metres. A
-    position is reachable if the disc touches no wall there and it is connected to the start. A full circle of beams of
+    position is reachable if the disc touches no wall and no `glass` (G, 2, 2) there and it is connected to the start;
+    beams pass through glass. A full circle of beams of
     `laser_range` is cast from one reachable position in each square of 0.3 m. Positions lie within the
     bounds of region, walls and start. In a very large scene, cells and squares are enlarged to bound memory and time.
     Raises ValueError for an empty region, or a start where the disc touches a wall.
@@ -96,7 +98,8 @@ def visible_area(
     if not (low < high).all():
         raise ValueError(f"region: found {region}, allowed: x0 y0 x1 y1 with x0 < x1 and y0 < y1")
     # Positions beyond the laser's range from the region see nothing of it, but may connect others that do.
-    corners = np.concatenate([walls.reshape(-1, 2), [low, high, start]])
+    solid = walls if glass is None else np.concatenate([walls, glass])
+    corners = np.concatenate([solid.reshape(-1, 2), [low, high, start]])
     bottom, top = corners.min(axis=0), corners.max(axis=0)
     while np.prod(np.ceil((top - bottom) / cell_m) + 3) > _MOST_CELLS:
         cell_m *= 2.0
@@ -106,14 +109,15 @@ def visible_area(
     # A disc smaller than a cell must not pass from one cell to the next through a wall between their centres.
     disc = max(radius, 0.51 * cell_m)
     clearances = np.full((height, width), np.inf)
-    flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
-    mark_distances(flat, origin[0], origin[1], cell_m, max(disc, cell_m) + cell_m, clearances)
+    _mark_distances(walls, origin, cell_m, disc, clearances)
+    room = clearances.copy()
+    _mark_distances(solid[len(walls) :], origin, cell_m, disc, room)
     x = origin[0] + (np.arange(width) + 0.5) * cell_m
     y = origin[1] + (np.arange(height) + 0.5) * cell_m
 
     # The free space around the start may be smaller than a cell, so that none is reachable.
-    reachable = _connected(clearances >= disc, (np.asarray(start) - origin) / cell_m)
-    touched = point_segment_distance(np.asarray(start, dtype=np.float64), walls) < radius
+    reachable = _connected(room >= disc, (np.asarray(start) - origin) / cell_m)
+    touched = point_segment_distance(np.asarray(start, dtype=np.float64), solid) < radius
     if touched.any() and not reachable.any():
         raise ValueError(f"start: found ({start[0]:g}, {start[1]:g}), allowed: a place where the robot touches no wall")
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
@@ -170,8 +174,14 @@ def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
     poses = np.array(trace.truths).reshape(-1, 3)
     start = (float(poses[0, 0]), float(poses[0, 1]))
     region = trace.config.region or trace.scene.region
-    area = visible_area(walls, region, start, trace.radius_m, laser.max_range)
+    area = visible_area(walls, region, start, trace.radius_m, laser.max_range, glass=trace.scene.glass)
     return area, coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
+
+
+def _mark_distances(walls: Array, origin: Array, cell_m: float, disc: float, clearances: Array) -> None:
+    """Lower each cell's distance from the nearest wall to that from these (N, 2, 2), as far as it matters."""
+    flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
+    mark_distances(flat, origin[0], origin[1], cell_m, max(disc, cell_m) + cell_m, clearances)
 
 
 def _sweep(

@@ -1,7 +1,8 @@
 """The record of a run, written as the run goes: `record.jsonl`, a JSON object per line.
 
-The first line describes the run: format, robot's radius and scene. Then follow, tick by tick, a line for each keyframe
-(`keyframe`), plan (`plan`) and scan (`scan`), and at last one for the run's end (`end`). Every float64 is kept to the
+The first line describes the run: format, robot's radius and scene. Then follows a line for each keyframe (`keyframe`),
+plan (`plan`) and scan (`scan`), written in batches while the run goes on: those of a kind in order, one kind after the
+other in each batch. The last line is the run's end (`end`). Every float64 is kept to the
 last bit; walls and observations of a keyframe are rows of them in base64. A killed run has no `end`, and its last line
 may be cut.
 """

@@ -44,7 +44,7 @@ def test_ranges_are_read_back_as_the_seeds_they_were_made_of() -> None:
 
 @pytest.mark.parametrize("text", ["", "3:3", "4:3", "-1:3", "1:2:3", "a", "0:100001", "1.5"])
 def test_what_is_no_range_of_seeds_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"^--seeds: found "):
+    with pytest.raises(InputError, match=r"^seeds: found "):
         seed_range(text)
 
 

@@ -48,6 +48,17 @@ def test_a_room_behind_a_wall_does_not_count() -> None:
     assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, CENTRED, 20.0, walls) == [1.0]
 
 
+def test_a_robot_sees_through_glass_and_goes_no_way_through_it() -> None:
+    walls = segments(*box(0.3, 0.2, 6.3, 4.2), [(4.6, 0.2), (4.6, 3.4)])
+    glass = segments([(3.4, 0.2), (3.4, 4.2)])
+    whole = (0.3, 0.2, 6.3, 4.2), (1.2, 0.9), 0.25, 20.0
+    area = visible_area(walls, *whole, glass=glass)
+    # From the left of the glass no line leads around the wall's end to a place close behind the wall.
+    assert at(area, 3.9, 2.2) and at(area, 5.9, 4.0) and not at(area, 4.8, 0.7)
+    assert at(visible_area(walls, *whole), 4.8, 0.7)
+    assert not at(visible_area(np.concatenate([walls, glass]), *whole), 3.9, 2.2)
+
+
 def test_a_room_behind_a_door_that_is_too_narrow_is_seen_only_through_it() -> None:
     """The disc does not fit through 0.3 m; from the door's jambs on, rays fan out by the room's own depth."""
     walls = segments(*box(0.3, 0.2, 6.3, 4.2), [(4.3, 0.2), (4.3, 2.0)], [(4.3, 2.3), (4.3, 4.2)])

@@ -162,7 +162,7 @@ def test_of_two_simulators_that_begin_at_once_one_stays():
 
 @pytest.mark.parametrize(("task", "name"), [("explore", "region"), ("goal", "goal"), ("tour", "tour")])
 def test_a_drive_needs_the_places_of_its_task(task, name):
-    with pytest.raises(InputError, match=f"^--{name}: missing"):
+    with pytest.raises(InputError, match=f"^{name}: missing"):
         check_drive(preset(task=task))
     places = {"region": (0.5, 0.6, 2.0, 3.0), "goal": (2.0, 3.0), "tour": ((2.0, 3.0),)}
     check_drive(preset(task=task, **{name: places[name]}))
@@ -182,12 +182,15 @@ def test_a_network_is_found_by_multicast_beside_its_peers_unless_it_is_this_mach
     assert found == [{"name" if one == "eth0" else "address": one} for one in network.interfaces]
 
 
-@pytest.mark.parametrize(("of", "said"), [
-    ((233,), "--domain: found 233, allowed: 0 to 232"), ((-1,), "--domain: found -1"),
-    ((7, ("eth0", "a b")), "--interface: found 'a b'"), ((7, ("eth0",), ("host",)), "--peers: found 'host'"),
-    ((7, ("eth0", "127.0.0.1")), "--interface: found eth0,127.0.0.1, allowed: others without the loopback"),
-    ((7, ("lo",), ("10.0.0.2",)), "--peers: found 10.0.0.2 with --interface lo"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("of", "said"),
+    [
+        ((233,), "domain: found 233, allowed: 0 to 232"), ((-1,), "domain: found -1"),
+        ((7, ("eth0", "a b")), "interface: found 'a b'"), ((7, ("eth0",), ("host",)), "peers: found 'host'"),
+        ((7, ("eth0", "127.0.0.1")), "interface: found eth0,127.0.0.1, allowed: others without the loopback"),
+        ((7, ("lo",), ("10.0.0.2",)), "peers: found 10.0.0.2 with `interface` lo"),
+    ],
+)  # fmt: skip
 def test_a_network_that_cannot_be_is_refused(of, said):
     with pytest.raises(InputError, match=said):
         Network(*of)
