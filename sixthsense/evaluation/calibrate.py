@@ -89,8 +89,8 @@ def drive_samples(
 ) -> tuple[Array, list[Sample]]:
     """Drive with a random speed and a random turn rate to the left in each sample; return the walls and the samples.
 
-    The truth is used to avoid collisions: a command that leads too close to a wall or glass is drawn again, or replaced by a
-    turn on the spot. After a collision the robot restarts at its start.
+    The truth is used to avoid collisions: a command that leads too close to a wall or glass is drawn again, or replaced
+    by a turn on the spot. After a collision the robot restarts at its start.
     """
     scene = load_scene(config.scene, config.map_unknown)
     start = Pose(*config.start) if config.start is not None else scene.start

@@ -152,7 +152,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "no worker": (lambda: call(workers=0), "^workers: found 0, allowed: a whole number from 1 to 1024"),
     "too many workers": (lambda: call(workers=1025), "^workers: found 1025"),
     "a goal in a wall": (lambda: call(task="goal", goal=(1.0, 3.1)), r"^goal: found \(1, 3\.1\), .* from a wall"),
-    "a goal with another task": (lambda: call(goal=(1.0, 1.0)), "^goal: found with task tour"),
+    "a goal with another task": (lambda: call(goal=(1.0, 1.0)), "^goal: found with `task` tour"),
 }
 
 

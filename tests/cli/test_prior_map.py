@@ -52,14 +52,14 @@ def test_python_takes_the_same_options(first):
     assert run.trace.prior_map["name"] == "first"
     again = ss.replay(first, prior_map=first, pose_sigma=(0.1, 0.1, 0.05), progress=False)
     assert again.trace.prior_map["pose_sigma"] == [0.1, 0.1, 0.05]
-    with pytest.raises(ss.InputError, match=r"^pose: found without prior_map, allowed: with it$"):
+    with pytest.raises(ss.InputError, match=r"^pose: found without `prior_map`, allowed: with it$"):
         ss.run("rectangle", pose=(0.0, 0.0, 0.0))
 
 
 def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, complaint):
     (here / "other.toml").write_text(OTHER)
     line = complaint("run", "other.toml", "--prior-map", str(first))
-    assert line.startswith("prior_map: found first, of which the first scan shows ")
+    assert line.startswith("--prior-map: found first, of which the first scan shows ")
 
 
 @pytest.mark.parametrize("name", ["landmarks.npz", "record.npz", "grid.npz", "config.toml"])

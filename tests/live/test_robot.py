@@ -197,7 +197,7 @@ def test_odometry_that_jumps_within_a_moment_leaves_the_robot_where_it_was(bench
     bench.off = Pose(5.0, -4.0, 2.0)
     bench.run(1500)
     (line,) = bench.lines
-    assert line.endswith("faster than --robot.speed and --robot.turn-rate; the robot is taken to stand where it was")
+    assert line.endswith("faster than `robot.speed` and `robot.turn_rate`; the robot is taken to stand where it was")
     assert bench.commands(200) == {FORWARD}
 
 

@@ -97,7 +97,7 @@ def test_hooks_are_called_in_their_order() -> None:
 
 def test_an_exploration_shows_the_seen_area_beside_that_of_the_region():
     grid = SimpleNamespace(seen_area_m2=0.0)
-    trace = SimpleNamespace(grid=grid, scene=None, config=preset(region=(-1.5, 2.0, 2.5, 5.0)))
+    trace = SimpleNamespace(draw_map=lambda: grid, scene=None, config=preset(region=(-1.5, 2.0, 2.5, 5.0)))
     assert seen_area(trace) == ""
     grid.seen_area_m2 = 4.0
     assert seen_area(trace) == "4 of at most 12 m² seen"

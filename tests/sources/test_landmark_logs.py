@@ -165,7 +165,7 @@ def test_a_mrclam_folder_is_refused_without_the_robot_that_is_wanted_one_of_seve
     ):
         with pytest.raises(InputError, match=said):
             open_log(folder(tmp_path / "a"), **given)
-    with pytest.raises(InputError, match="found robots 3, 4, allowed: one, by --robot N"):
+    with pytest.raises(InputError, match="found robots 3, 4, allowed: one, by `robot` N"):
         open_log(folder(tmp_path / "a", robot=4))
     (tmp_path / "b").mkdir()
     with pytest.raises(InputError, match="found no RobotN_Odometry"):

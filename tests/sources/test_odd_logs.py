@@ -111,11 +111,11 @@ def in_turn(n):
 
 # name: keywords of the bag, what is said
 REFUSED = {
-    "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or --units angles="),
-    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "allowed: metres, or --units ranges=mm"),
+    "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or `units` angles="),
+    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "allowed: metres, or `units` ranges=mm"),
     "centimetres": ({"scan": at(every, "unit", 100.0)}, "millimetres or centimetres"),
-    "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or --units odometry=mm"),
-    "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by --topic /rear or /scan"),
+    "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or `units` odometry=mm"),
+    "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by `topics` /rear or /scan"),
     "two lasers": ({"scan": at(every, "ranges", in_turn)}, "found scans of two lasers in turn, all of frame laser"),
     "no scans": ({"scan": lambda n, says: None}, "found no topic of type LaserScan, but /odom (Odometry)"),
     "no return": ({"scan": at(every, "ranges", NAN)}, "found no return in 60 scans, allowed: ranges from range_min to"),

@@ -61,13 +61,8 @@ def open_log(
         from sixthsense.sources.logs.rosbag import How, read_bag
         from sixthsense.sources.logs.transforms import frame_pair
 
-        how = How(
-            topics,
-            frame_pair(odometry_frames),
-            odometry,
-            laser is not None and "mount" in laser.explicit_fields,
-            own_units,
-        )
+        states_mount = laser is not None and "mount" in laser.explicit_fields
+        how = How(topics, frame_pair(odometry_frames), odometry, states_mount, own_units)
         return read_bag(path, laser or LaserConfig(), how)
     if kind == "mrclam":
         from sixthsense.config import preset
