@@ -221,8 +221,10 @@ def _as_path(poses: ArrayLike, trace: Trace) -> Array:
 
 
 def _frame(ax: Any, points: list[Array]) -> None:
-    """Show the whole map, and of the dead reckoning only the part close to it."""
+    """Show the whole map, and of the dead reckoning only the part close to it; nothing of a run without a scan."""
     low, high = np.array(ax.dataLim.min), np.array(ax.dataLim.max)
+    if not np.isfinite([low, high]).all():
+        return
     inner = np.concatenate([np.zeros((0, 2)), *points])
     if len(inner):
         slack = 0.15 * (inner.max(axis=0) - inner.min(axis=0)).max() + 0.5

@@ -17,6 +17,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, Anew, Presence, Publishers, ScanJoiner
 from sixthsense.live.network import Message
+from sixthsense.live.offset import ClockOffset
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.record.trace import Trace
 from sixthsense.slam.relocalization import MOST_DRIVEN_M, Relocalizer
@@ -99,6 +100,7 @@ class LiveRobot:
         `trace` is the record of the run, in whose map a lost robot is searched.
         """
         self.joiner = ScanJoiner(trace.config.robot)
+        self._offset = ClockOffset()
         self.odom_frame = "odom"
         self.outcome: str | None = None
         """why the run ends, None as long as the robot can be used"""
@@ -167,7 +169,9 @@ class LiveRobot:
                     if self._has_no_odometry:  # it is said to stand, and moves as its scans tell
                         ends_ns = stamp_ns - sweep_ns(len(scan.ranges), scan.time_increment)
                         self.joiner.add_odometry(ends_ns, Pose(), arrival_ns)
-                    self.joiner.add_scan(stamp_ns, scan, arrival_ns)
+                    elif self._offset.add_scan(stamp_ns, scan):
+                        self._tell_offset()
+                    self.joiner.add_scan(stamp_ns - self._offset.lead_ns, scan, arrival_ns)
                 else:
                     self._take_odometry(message.data, arrival_ns)
             except ValueError as error:
@@ -185,8 +189,16 @@ class LiveRobot:
             if joiner.anew is not None and joiner.anew is not anew:
                 self._begin_anew(joiner.anew)
             self._is_restarted = False
+            self._offset.add_odometry(message.stamp_ns, message.T_odom_robot.theta)
         if joiner.clock.jumps > jumps:
+            self._offset = ClockOffset(self._offset.lead_ns)
             self._say("clock jumped", "the robot's clock has jumped; the map goes on")
+
+    def _tell_offset(self) -> None:
+        lead_s = 1e-9 * self._offset.lead_ns
+        lead = "lead" if lead_s > 0.0 else "lag behind"
+        text = f"scans {lead} odometry by {abs(lead_s):.2f} s, by the turns that both see (other clocks?)"
+        self._say("clocks differ", f"{text}: their stamps are set right")
 
     def _begin_anew(self, anew: Anew) -> None:
         """The robot stands where it was, if it cannot be far from there; else it is searched in the map."""

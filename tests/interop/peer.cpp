@@ -183,7 +183,8 @@ public:
         {
             std::lock_guard<std::mutex> guard(lock);
             if (!options_.obeys) {
-                speed = 0.2; turn_rate = 0.35 * std::sin(0.5 * since_s()) + 0.25;
+                const double way = std::sin(0.9 * since_s()) + std::sin(1.37 * since_s());
+                speed = 0.12; turn_rate = way > 0.8 ? 0.9 : way < -1.2 ? -0.6 : 0.0;
             } else if (since_s() - commanded_s > 0.3) {
                 speed = turn_rate = 0.0;
             }
