@@ -60,15 +60,20 @@ class Alignments:
     views: NDArray[np.int64]
     """(m, 2, 3) hits, violations and returns, of the source seen by the target and the other way round"""
 
-    def agree(self, least_agreement: float, usual: float) -> NDArray[np.bool_]:
+    def agree(self, least_agreement: float, usual: float, least_seen: float = SEEN_SHARE) -> NDArray[np.bool_]:
         """(m,) whether both scans show one place: enough partners, and few returns where the other saw through.
 
         `least_agreement` is the least share of hits among hits and violations, where `usual` is 1: the share of a
-        scan's returns, of those that are judged, that usually agree. People hide and add some in any scan.
+        scan's returns, of those that are judged, that usually agree. People hide and add some in any scan. `least_seen`
+        is the least share of hits among all returns.
         """
         seen, through, count = self.views[:, :, 0], self.views[:, :, 1], self.views[:, :, 2]
-        is_shared = (seen >= usual * SEEN_SHARE * count) & (seen >= usual * least_agreement * (seen + through))
+        is_shared = (seen >= usual * least_seen * count) & (seen >= usual * least_agreement * (seen + through))
         return np.asarray((self.sums[:, HITS] >= LEAST_HITS) & is_shared.all(axis=1))
+
+    def tell(self) -> NDArray[np.bool_]:
+        """(m,) whether either scan saw enough of the place of the other's returns to agree or to contradict."""
+        return np.asarray(self.views[:, :, :2].sum(axis=2).min(axis=1) >= LEAST_HITS)
 
 
 def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:

@@ -16,7 +16,7 @@ from sixthsense.slam.scans.place_search import Hypothesis, of_last_metres
 from sixthsense.slam.scans.tracking import NEAREST
 from sixthsense.slam.scans.votes import NEAR, Vote
 
-_LEAST_GOOD, _GOOD_SHARE = 3, 0.4  # pairs that align, and their share
+_LEAST_GOOD, _GOOD_SHARE = 3, 0.4  # pairs that align, and their share of those that tell about the place
 
 
 class Verified(NamedTuple):
@@ -37,8 +37,10 @@ def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hyp
     targets, sources, starts = _pairs(scans, found, recent, moved)
     poses = scans.poses
     aligned = align_pairs(scans.store.returns, targets, sources, starts, WIDE_GATE_M)
-    good = aligned.agree(AGREEMENT, scans.usual_agreement)
-    least = max(_LEAST_GOOD, _GOOD_SHARE * len(targets))
+    # A robot that comes the other way sees little of what an old scan saw: pairs are judged by that alone.
+    tell = aligned.tell()
+    good = aligned.agree(AGREEMENT, scans.usual_agreement, least_seen=0.0) & tell
+    least = max(_LEAST_GOOD, _GOOD_SHARE * np.count_nonzero(tell))
     if np.count_nonzero(good) < least:
         return None
     said = compose(compose(poses[targets], aligned.poses), between(poses[sources], poses[key]))
