@@ -148,7 +148,7 @@ class ScanFrontEnd:
         estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=cov)
         since_key = None
         if self._has_final_pass:
-            since_key = refined(self._store, self._graph.poses, self._scans, self._mount, self._noise)
+            since_key = refined(self._store, self._graph.poses, self._scans, self._mount)
         return Finished(estimate, since_key, self._graph.robot_links())
 
     @property
@@ -296,8 +296,12 @@ class TrackedScan(NamedTuple):
     """of the robot since then, as tracked"""
 
 
-def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mount, noise: WheelNoise) -> Array:
-    """(S, 3) motion of the robot from the last keyframe to each scan; `poses` (K, 3) of keyframes, `T_world_laser`."""
+def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mount) -> Array:
+    """(S, 3) motion of the robot from the last keyframe to each scan; `poses` (K, 3) of keyframes, `T_world_laser`.
+
+    About the tracked motion, with the errors of wheels in general: those of the run would hold scans where they were
+    among keyframes that have moved since.
+    """
     motions = np.array([scan.motion.array() for scan in scans]).reshape(-1, 3)
     if not len(poses):
         return motions
@@ -306,8 +310,7 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mou
         return motions
     keys = np.array([scans[k].key for k in rows])
     found = compose(poses[keys], mount.laser_motions(motions[rows]))
-    motions_by_wheels = [noise.applied(with_wheel_errors(scans[k].odometry)) for k in rows]
-    covs = np.array([mount.laser_odometry(motion).cov for motion in motions_by_wheels])
+    covs = np.array([mount.laser_odometry(with_wheel_errors(scans[k].odometry)).cov for k in rows])
     informations = informations_in_world(poses[keys], covs)
     around = cKDTree(poses[:, :2]).query_ball_point(found[:, :2], REACH_M, return_sorted=True)
     is_aligned = np.zeros(len(rows), dtype=np.bool_)
