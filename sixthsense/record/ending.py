@@ -44,7 +44,8 @@ def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None
     if trace.grid is not None:
         grid = trace.grid
         with whole(folder / GRID_FILE) as file:
-            np.savez_compressed(file, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin))
+            hits, passes = grid.narrow("hits"), grid.narrow("passes")
+            np.savez_compressed(file, hits=hits, passes=passes, seen=grid.seen, origin=np.array(grid.origin))
         write_map(folder, grid.occupancy(), grid.origin, trace.config.grid.cell_m)
     if trace.outcome.startswith("explored"):
         write_places_left(folder / "places_left.csv", trace)

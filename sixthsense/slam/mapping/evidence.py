@@ -39,14 +39,11 @@ class Cells(NamedTuple):
         seen, obstacles = (np.zeros(count, dtype=np.bool_) for _ in range(2))
         return cls(hits, passes, cover, stamp, seen, obstacles)
 
-    def extended(self, count: int) -> Cells:
-        """The same with room for more cells behind them."""
-        larger = Cells.empty(count)
-        old: NDArray[Any]
-        new: NDArray[Any]
-        for new, old in zip(larger, self, strict=True):
-            new[: len(old)] = old
-        return larger
+    def extend(self, count: int) -> None:
+        """Make room for more cells behind these, in place: a copy would double the memory of a large map."""
+        array: NDArray[Any]
+        for array in self:
+            array.resize(count, refcheck=False)  # no view of them outlives a call
 
 
 class EvidenceRules(NamedTuple):

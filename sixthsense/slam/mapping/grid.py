@@ -266,6 +266,12 @@ class Grid:
         """(H, W) scans that crossed the cell and did not hit it."""
         return self._whole("passes")
 
+    def narrow(self, name: Literal["hits", "passes"]) -> NDArray[Any]:
+        """(H, W) `hits` or `passes` in the smallest type that holds them: most of a large box was never seen."""
+        counts = getattr(self._cells, name)
+        self._check_size()
+        return self._tiles.part(counts.astype(np.min_scalar_type(int(counts.max(initial=0)))), self._box)
+
     @property
     def seen(self) -> Bools:
         """(H, W) whether a beam has ever crossed the cell or ended in it: the sense grid, report section 4.5."""
@@ -338,7 +344,7 @@ class Grid:
             raise InputError("grid", f"found {count:,} cells that were seen", f"at most {MAX_CELLS:,} cells")
         self._tiles.allocate(new)
         if count > len(self._cells.hits):
-            self._cells = self._cells.extended(max(count, len(self._cells.hits) * 5 // 4))
+            self._cells.extend(max(count, len(self._cells.hits) * 5 // 4))
 
     def _grow(self, cells: Array) -> None:
         """Make room for (N, 2) cells (row, col from the world's origin), their inflation and a rim of free cells."""

@@ -111,6 +111,17 @@ def inflated(obstacles: Array, radius_cells: float) -> Array:
     return blocked
 
 
+def test_counts_in_the_smallest_type_are_the_same_counts() -> None:
+    grid, rng = Grid(CONFIG, 0.2), np.random.default_rng(4)
+    for _ in range(5):
+        pose = random_pose(rng)
+        grid.add(pose, scan_of_room(pose, max_range=4.0), np.zeros((0, 2, 2)))
+    assert grid.passes.max() > 1
+    for name in ("hits", "passes"):
+        narrow = grid.narrow(name)
+        assert narrow.dtype == np.uint8 and np.array_equal(narrow, getattr(grid, name))
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_a_bresenham_line_is_connected_thin_and_near_the_true_line(seed: int) -> None:
     rng = np.random.default_rng(seed)
