@@ -53,18 +53,3 @@ def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
     assert values @ np.linalg.solve(about, values) == pytest.approx((turn / 0.1) ** 2)
     plain = innovations(lines[1], lines[0], np.array(True))
     assert plain @ np.linalg.solve(cov, plain) > 100.0
-
-
-def test_innovations_about_the_centre_are_the_plain_ones_to_first_order():
-    rng = np.random.default_rng(4)
-    walls = np.array([True, False, True])
-    predicted = rng.normal(size=(3, 2))
-    root = rng.normal(size=(3, 2, 2))
-    cov = root @ root.transpose(0, 2, 1)
-    for small in (1e-3, 1e-5):
-        z = predicted + small * rng.normal(size=(3, 2))
-        values, about = innovations_of(z, cov, predicted, walls)
-        plain = innovations(z, predicted, walls)
-        assert np.abs(values - plain).max() < 100.0 * small**2
-        assert np.abs(about - cov).max() < 100.0 * small
-        assert np.array_equal(values[1], plain[1]) and np.array_equal(about[1], cov[1])

@@ -11,12 +11,6 @@ def drawn(rng):
     return Sensor.from_array(rng.normal(size=SENSOR_PARAMETERS) * 0.1), point
 
 
-def test_a_sensor_without_errors_changes_nothing():
-    point = np.array([2.0, -0.7])
-    corrected, by_point = Sensor().corrected(point)
-    assert np.array_equal(corrected, point) and np.array_equal(by_point, np.eye(2))
-
-
 def test_a_camera_turned_and_mounted_ahead_sees_points_turned_back_and_nearer():
     point, _ = Sensor(yaw_rad=0.1, forward_m=0.2).corrected(np.array([2.0, 0.0]))
     assert np.allclose(point, [0.2 + 2.0 * np.cos(0.1), 2.0 * np.sin(0.1)])

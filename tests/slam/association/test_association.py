@@ -37,17 +37,6 @@ def known(config=None, sigma=0.02):
     return estimator, associator
 
 
-def test_known_landmarks_are_matched_in_any_order():
-    estimator, associator = known()
-    estimator.predict(Odometry(Pose(0.2, 0, 0.1), np.diag([1e-3, 1e-3, 1e-3])))
-    order, rng = [3, 0, 4, 2, 1], np.random.default_rng(0)
-    found = associator.associate(sight(Pose(0.2, 0, 0.1), order, rng), estimator)
-    assert sorted(found.observations) == [0, 1, 2, 3, 4] and found.discarded == 0 and found.dof == 10
-    estimate = estimator.estimate()
-    for i, observation in found.observations.items():
-        assert math.dist(estimate.pose @ observation.z, POINTS[i]) < 0.2
-
-
 @pytest.mark.parametrize(
     ("config", "squared", "expected"),
     [
@@ -65,13 +54,6 @@ def test_a_near_observation_is_matched_a_far_one_is_new_and_an_ambiguous_one_is_
     found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
     assert (found.dof // 2, len(found.observations) - found.dof // 2) == expected
     assert found.discarded == 1 - sum(expected)
-
-
-def test_two_observations_are_never_of_one_landmark():
-    estimator, associator = known()
-    close = [Observation(Kind.CORNER, POINTS[0] + [d, 0.0], np.eye(2) * 4e-4) for d in (-0.01, 0.01)]
-    found = associator.associate(close, estimator)
-    assert len(found.observations) == 1 and found.discarded == 1
 
 
 def test_the_assignment_is_the_best_for_all_not_for_the_first():

@@ -15,7 +15,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.observed import Distances, ends, fused, joined
+from sixthsense.slam.association.observed import ends, fused
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
 from sixthsense.slam.estimators.isam2_factors import lines, measurement
 from sixthsense.slam.features import extract
@@ -112,27 +112,6 @@ def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, w
                 turns.append(turn / math.sqrt(s.cov[0, 0]))
     assert len(turns) >= 50
     assert abs(np.mean(turns)) < 4.0 / math.sqrt(len(turns))
-
-
-def test_a_mount_off_the_robots_centre_changes_no_wall():
-    rng = np.random.default_rng(0)
-    pose = Pose(0.4, 0.2, 0.3)
-    config = preset(features={"landmarks": "walls"}, laser={"mount": (0.3, -0.1, 0.5)})
-    for s in extract(look(pose, ROOM, config.laser), config.assumed, config.features, rng).observations:
-        alpha = wrap_angle(float(s.z[0]) + pose.theta)
-        assert min(abs(wrap_angle(alpha - k * math.pi / 2)) for k in range(-2, 3)) < 1e-3
-        assert np.abs(ends(pose, s)).max() < 3.05
-
-
-def test_extents_tell_walls_in_line_from_one_wall():
-    landmark, extent = np.array([[math.pi / 2, 2.0]]), np.array([[[0.0, 2.0], [3.0, 2.0]]])
-    observed = np.array([[[4.0, 2.1], [5.0, 2.1]], [[1.0, 2.0], [2.0, 2.2]]])
-    walls = np.ones(2, dtype=bool)
-    near = Distances.between(observed, np.array([1.6, 1.5]), walls, landmark, walls[:1], extent)
-    assert np.allclose(near.gap_m[:, 0], [1.0, -1.0]) and np.allclose(near.metres[:, 0], [0.1, 0.1])
-    assert np.allclose(near.turn_rad[:, 0], np.abs([1.6 - math.pi / 2, 1.5 - math.pi / 2]))
-    whole = joined(landmark[0], extent[0], np.array([[4.0, 2.3], [5.0, 1.9]]))
-    assert np.allclose(sorted(whole[:, 0]), [0.0, 5.0]) and np.allclose(whole[:, 1], 2.0)
 
 
 def test_two_pieces_of_a_wall_in_one_scan_are_fused_by_their_information():

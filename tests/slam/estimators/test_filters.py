@@ -210,42 +210,6 @@ def test_forgetting_keeps_the_linearization_points_of_the_others(name):
     assert np.allclose(one.joint_covariance(ids[1::2]), two.joint_covariance(ids[1::2]), atol=1e-12)
 
 
-def test_the_invariant_correction_follows_the_exponential_and_transports_the_covariance():
-    """A(x) = d exp(xi) x / d xi by differences: x+ = exp(A^-1 shift) x and Sigma+ = T Sigma T^T, T = A(x+) A(x)^-1."""
-    standard_filter, invariant = make("ekf"), make("ekf-invariant")
-    for estimator in (standard_filter, invariant):
-        estimator.update(sight(START, range(6), np.random.default_rng(5), points=DENSE))
-        estimator.predict(step(sigma=0.3))
-    # Up to the first correction both filters are equal; the standard one then gives shift and covariance.
-    x = state(invariant)
-    assert np.allclose(x, state(standard_filter), atol=1e-12)
-    for estimator in (standard_filter, invariant):
-        estimator.update(sight(START @ Pose(0.4, -0.3, 0.3), range(6), np.random.default_rng(6), points=DENSE))
-    shift, cov = state(standard_filter) - x, joint_state(standard_filter)[1]
-    expected = moved(np.linalg.solve(derivative(x), shift), x)
-    assert np.allclose(state(invariant), expected, atol=1e-8)
-    T = derivative(expected) @ np.linalg.inv(derivative(x))
-    leaned = joint_state(invariant)[1]
-    assert np.allclose(leaned, T @ cov @ T.T, atol=1e-8)
-    # The standard filter has neither.
-    assert np.abs(expected - x - shift).max() > 1e-3 and np.abs(leaned - cov).max() > 1e-3 * np.abs(cov).max()
-
-
-def state(estimator):
-    estimate = estimator.estimate()
-    return np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()])
-
-
-def moved(xi, x):
-    """exp(xi) x of a state x (3 + 2n,)."""
-    X = exponential(xi) @ group(x[2], np.vstack([x[:2], x[3:].reshape(-1, 2)]))
-    return np.concatenate([X[:2, 2], [x[2] + xi[2]], X[:2, 3:].T.ravel()])
-
-
-def derivative(x):
-    return np.column_stack([(moved(h, x) - moved(-h, x)) / 2e-6 for h in 1e-6 * np.eye(len(x))])
-
-
 @pytest.mark.parametrize("name", ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"])
 def test_forgetting_removes_rows_and_columns_and_changes_no_bit_of_the_rest(name):
     estimator = driven(name)

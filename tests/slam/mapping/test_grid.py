@@ -174,63 +174,6 @@ def test_the_incremental_inflation_equals_a_full_inflation(seed: int, radius: fl
     assert toggled_off > 0
 
 
-def test_a_stray_return_is_cleared_by_enough_passes() -> None:
-    grid = Grid(replace(CONFIG, passes_per_hit=4.0), 0.2)
-    stray = scan_of([2.05])
-    through = scan_of([5.05])
-    grid.add(Pose(0.05, 0.05), stray, NO_WALLS)
-    assert grid.free_space().is_blocked((2.05, 0.05))
-    for _ in range(4):
-        grid.add(Pose(0.05, 0.05), through, NO_WALLS)
-        assert grid.free_space().is_blocked((2.05, 0.05))
-    grid.add(Pose(0.05, 0.05), through, NO_WALLS)
-    assert not grid.free_space().is_blocked((2.05, 0.05))
-    assert grid.free_space().is_blocked((5.05, 0.05))
-
-
-def test_an_obstacle_in_a_cell_that_was_long_free_blocks_at_once() -> None:
-    grid = Grid(CONFIG, 0.2)
-    for _ in range(100):
-        grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
-    assert not grid.free_space().is_blocked((2.05, 0.05))
-    grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
-    assert grid.free_space().is_blocked((2.05, 0.05))
-
-
-def test_a_wall_that_was_long_seen_and_is_removed_is_erased() -> None:
-    config = replace(CONFIG, max_hits=5, passes_per_hit=4.0)
-    grid = Grid(config, 0.2)
-    for _ in range(100):
-        grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
-    for gone in range(22):
-        assert grid.free_space().is_blocked((2.05, 0.05)) == (gone <= 20)
-        grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
-
-
-@pytest.mark.parametrize("fitted", [False, True])
-def test_beams_that_graze_along_a_wall_do_not_erase_it(fitted: bool) -> None:
-    wall = np.array([[[0.0, 0.04], [8.0, 0.06]]])
-    grid = Grid(CONFIG, 0.0)
-    increment = 0.01
-    for k in range(60):
-        pose = Pose(0.5 + 0.1 * k, 0.3, 0.0)
-        bearings = -math.pi + np.arange(628) * increment
-        ranges = cast_rays(pose, bearings, wall, 9.0)
-        scan = scan_of(ranges, -math.pi, increment, 9.0)
-        grid.add(pose, scan, pose.inverse() @ wall if fitted else NO_WALLS)
-    standing = {col for row, col in cells_by_world(grid, grid.obstacles) if row == 0}
-    assert standing >= set(range(2, 78))
-
-
-def test_a_beam_without_return_passes_up_to_the_maximum_and_hits_nothing() -> None:
-    for reading in (np.inf, 3.0, 50.0):
-        grid = Grid(CONFIG, 0.0)
-        grid.add(Pose(0.05, 0.05), scan_of([reading], max_range=3.0), NO_WALLS)
-        assert grid.hits.sum() == 0
-        assert set(cells_by_world(grid, grid.seen)) == {(0, col) for col in range(31)}
-        assert cells_by_world(grid, grid.passes) == {(0, col): 1 for col in range(31)}
-
-
 def test_growth_keeps_what_was_counted() -> None:
     """A grid that grows with every scan ends up as one that was large from the start."""
     rng = np.random.default_rng(7)
