@@ -7,7 +7,7 @@ The NIS of the matches is that of survivors: what a gate rejects is not in its m
 known, so that their NIS has no such bias.
 
     observer = InnovationObserver()
-    trace = run(config, on_tick=observer.attach)
+    trace = run(config, on_tick=observer)
     truths, scene = np.array(trace.key_truths), true_identities(trace.scene.walls)
     laser = TrueLaser(config.laser, config.assumed.laser)
     pairs = true_pair_nis(observer.scans, trace.associations, truths, scene, laser)
@@ -16,20 +16,21 @@ known, so that their NIS has no such bias.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
+from sixthsense.core.motion import compose_jacobians
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueLaser, distinguished, identify
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Observed
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators.base import Belief
+from sixthsense.slam.estimators.base import Estimate
 
 Match = tuple[int, LandmarkId]
 """Keyframe, and the landmark that its observation was matched with."""
@@ -123,33 +124,42 @@ class TruePairs:
     """(P,) whether the estimator used the observation, for a landmark of its identity"""
 
 
+def prior_innovations(observations: Sequence[Observation], estimate: Estimate, joint: Array) -> PriorInnovations:
+    """Those of observations, given an estimate before them and its joint covariance (3 + 2n, 3 + 2n)."""
+    squared = np.full((len(observations), len(estimate.ids)), np.inf)
+    if squared.size:
+        observed, everywhere = Observed.of(observations), np.arange(len(estimate.ids))
+        found = compare(observed, np.zeros(len(everywhere)), estimate, everywhere, joint).squared
+        squared = np.where(observed.walls[:, None] == estimate.walls[None, :], found, np.inf)
+    return PriorInnovations(tuple(observations), estimate.ids, squared)
+
+
 class InnovationObserver:
     """Keeps the innovations of all observations against all landmarks; it slows a run with many landmarks down."""
 
     def __init__(self) -> None:
         self.scans: list[PriorInnovations] = []
         """one for each keyframe"""
+        self._joint = np.zeros((3, 3))
+        """joint covariance after the last keyframe"""
 
-    def attach(self, tick: Tick, trace: Trace) -> None:
-        """Observe a run; it is the `on_tick` of `sixthsense.loop.run.run`.
-
-        The first tick is over when it is called, so its keyframe is added without landmarks: there were none.
-        """
-        assert trace.live is not None
-        if trace.live.associator.observer is None:
-            trace.live.associator.observer = self
-            self.scans += [PriorInnovations((), np.empty(0, np.int64), np.empty((0, 0)))] * len(trace.associations)
-
-    def __call__(self, observations: Sequence[Observation], estimator: Belief) -> None:
-        """Add a keyframe; the observer of an `Associator`."""
-        estimate = estimator.estimate()
-        squared = np.full((len(observations), len(estimate.ids)), np.inf)
-        if squared.size:
-            joint, observed = estimator.joint_covariance(estimate.ids.tolist()), Observed.of(observations)
-            everywhere = np.arange(len(estimate.ids))
-            found = compare(observed, np.zeros(len(everywhere)), estimate, everywhere, joint).squared
-            squared = np.where(observed.walls[:, None] == estimate.walls[None, :], found, np.inf)
-        self.scans.append(PriorInnovations(tuple(observations), estimate.ids, squared))
+    def __call__(self, tick: Tick, trace: Trace) -> None:
+        """Observe a run; it is the `on_tick` of `sixthsense.loop.run.run`."""
+        k = len(self.scans)
+        if len(trace.associations) == k:
+            return
+        assert trace.live is not None and trace.live.features is not None
+        seen, present = trace.live.features.observations, trace.key_predicted[k]
+        before, joint = present, self._joint
+        if k:  # no landmark has moved since
+            last = trace.key_estimates[k - 1]
+            before = replace(last, pose=present.pose, pose_cov=present.pose_cov)
+            by_pose, _ = compose_jacobians(last.pose.theta, trace.key_odometry[k].motion)
+            joint[:3, 3:] = by_pose @ joint[:3, 3:]
+            joint[3:, :3] = joint[:3, 3:].T
+            joint[:3, :3] = present.pose_cov
+        self.scans.append(prior_innovations(seen, before, joint))
+        self._joint = trace.live.estimator.joint_covariance(trace.key_estimates[k].ids.tolist())
 
 
 def true_pair_nis(

@@ -19,7 +19,6 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.navigation.unseen_places import UnseenPlace
-from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features
@@ -94,8 +93,6 @@ class Live:
     """the estimator, which computes the landmarks' covariances"""
     records: Mapping[LandmarkId, Record]
     """records of the landmarks in the estimate"""
-    associator: Associator
-    """the associator, whose inputs can be observed"""
     draw_map: Callable[[], Grid]
     """draws what is not in the map yet, as in a replay, and returns it"""
     scan: Scan | None = None

@@ -202,7 +202,7 @@ def test_of_several_landmarks_of_a_wall_the_oldest_is_its_true_pair_and_used_is_
 def test_an_observed_run_is_the_same_run_and_its_true_pairs_are_consistent():
     config = merge(preset("default"), {"scene": "apartment", "task": "tour", "max_time": 15.0, "seed": 7})
     observer = InnovationObserver()
-    trace = run(config, on_tick=observer.attach)
+    trace = run(config, on_tick=observer)
     np.testing.assert_array_equal(run(config).trajectory, trace.trajectory)
     assert trace.scene is not None
     scene = true_identities(trace.scene.walls)

@@ -41,12 +41,8 @@ _PARTS = 10
 
 
 def nowhere_free(points: Array, within_m: float) -> Mask:
-    """Of a map that says nothing."""
+    """Default: no point is known to be free."""
     return np.zeros(len(points), dtype=bool)
-
-
-Observer = Callable[[Sequence[Observation], Belief], None]
-"""Called with all observations of a keyframe and the estimator before its update; must not change either."""
 
 
 class Associator:
@@ -70,8 +66,6 @@ class Associator:
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
         self._prior, self._are_free = frozenset(self.records), are_free
-        self.observer: Observer | None = None
-        """called before the observations of a keyframe are matched; for evaluation"""
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
 
     def associate(
@@ -82,8 +76,6 @@ class Associator:
         The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator.
         """
         self._scan += 1
-        if self.observer is not None:
-            self.observer(observations, estimator)
         estimate = estimator.estimate()
         if not observations:
             return Association()
