@@ -24,7 +24,6 @@ from sixthsense.sources.logs.bag_file import read_poses, read_transforms
 from sixthsense.sources.logs.log import read_relations
 from sixthsense.sources.logs.mrclam import true_landmarks
 from sixthsense.sources.logs.ros_messages import read_increment_covariance, spatial_covariance
-from sixthsense.sources.logs.stamps import matched
 from sixthsense.sources.logs.text_lines import read_covariances, read_tum
 from sixthsense.sources.scene import load_scene
 
@@ -195,12 +194,6 @@ def test_tables_of_poses_covariances_and_relations_keep_nanoseconds_order_and_ya
     found = read_relations(written("a.relations", relations))
     assert found.stamps.tolist() == [[float(seconds(ns)), float(seconds(ns + S))] for *_, ns in rows]
     assert found.poses == pytest.approx(np.array([pose.array() for pose, *_ in rows]), abs=1e-9)
-
-
-def test_a_stamp_is_of_the_nearest_scan_within_half_a_period_whatever_their_order():
-    stamps = np.array([7.5, 3.25, 9.125, 4.5])  # the median time between two is 1.625 s
-    wanted = np.array([[3.25, 9.125], [4.6, 7.0], [5.35, 2.4]])
-    assert matched(stamps, wanted).tolist() == [[1, 2], [3, 0], [-1, -1]]
 
 
 @few
