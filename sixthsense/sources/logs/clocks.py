@@ -13,7 +13,7 @@ from sixthsense.core.laser import Scan, sweep_ns
 
 MOST_S = 120.0
 """Largest offset that is searched."""
-_LEAST_S = 0.08
+LEAST_S = 0.08
 """Smaller offsets are those of sensors: what a scan takes, and what a driver waits."""
 _PAIRS, _APART_S, _LONGEST_S = 1000, 0.2, 2.0  # pairs of scans that are compared, and the time between the two
 _BINS = 180  # of bearings, around a full turn
@@ -74,7 +74,7 @@ def clock_offset_s(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.in
 
 def least_s(odometry_ns: NDArray[np.int64]) -> float:
     """The smallest offset that is set right: between two records of odometry nothing says when the robot turned."""
-    return max(_LEAST_S, 1e-9 * float(np.median(np.diff(odometry_ns))))
+    return max(LEAST_S, 1e-9 * float(np.median(np.diff(odometry_ns))))
 
 
 def are_mirrored(scans: Sequence[tuple[int, Scan]], odometry_ns: NDArray[np.int64], headings: Array) -> bool:
