@@ -16,7 +16,6 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import stacked
@@ -151,8 +150,19 @@ def map_gain(
     """
     _, by_pose, by_landmark = predict(pose, landmarks, walls)
     H = stacked(by_pose, by_landmark, 3)
-    noise = block_diag(*(observation.cov for observation in observations))
+    noise = diagonal([observation.cov for observation in observations])
     if_known = joint[:3, :3] - joint[:3, 3:] @ np.linalg.solve(joint[3:, 3:], joint[3:, :3])
     of_all = np.linalg.slogdet(H @ joint @ H.T + noise)
     of_pose = np.linalg.slogdet(H[:, :3] @ if_known @ H[:, :3].T + noise)
     return 0.5 * float(of_all.logabsdet - of_pose.logabsdet) / len(observations)
+
+
+def diagonal(blocks: Sequence[Array]) -> Array:
+    """The matrix with these blocks (p, q) on its diagonal; scipy's asks for other array libraries at each block."""
+    out = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row = column = 0
+    for block in blocks:
+        height, width = block.shape
+        out[row : row + height, column : column + width] = block
+        row, column = row + height, column + width
+    return out

@@ -14,7 +14,6 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, V, W, X
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose, rotation
@@ -25,7 +24,7 @@ from sixthsense.core.se2 import composed_covariance, turned_covariance
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators.base import check_parameters
-from sixthsense.slam.estimators.isam2_chain import Chain, map_gain
+from sixthsense.slam.estimators.isam2_chain import Chain, diagonal, map_gain
 from sixthsense.slam.estimators.isam2_factors import (
     SENSOR,
     WHEELS,
@@ -232,7 +231,7 @@ class Head:
         unsolved.values.insert(key, prior.values.array())
         unsolved.graph.add(parameters_factor(key, prior))
         if isinstance(prior.values, Wheels):
-            self.wheels, self._cov = prior.values, block_diag(self._cov, prior.cov)
+            self.wheels, self._cov = prior.values, diagonal([self._cov, prior.cov])
         else:
             self.sensor, self._sensor_prior = prior.values, prior
 
@@ -280,7 +279,7 @@ class Head:
     def to_world(self) -> Array:
         """From GTSAM's tangents of these variables to the axes of `cov`."""
         turn = Pose(theta=self.pose.theta).adjoint()
-        return turn if self.wheels is None else np.asarray(block_diag(turn, np.eye(PARAMETERS)))
+        return turn if self.wheels is None else diagonal([turn, np.eye(PARAMETERS)])
 
     def motion(self, pending: Odometry) -> Odometry:
         """A motion for the present parameters of the wheels."""
@@ -371,10 +370,10 @@ class Solution:
         # GTSAM answers in the order of the query, each variable in its own tangent.
         to_world, of_head = [landmarks.by_tangent[i] for i in ids], self._head.is_solved
         joint = self._solver.joint_covariance([*self._head.keys(), *keys] if of_head else keys)
-        to_axes = block_diag(*([self._head.to_world()] if of_head else []), *to_world)
+        to_axes = diagonal([*([self._head.to_world()] if of_head else []), *to_world])
         joint = to_axes @ joint @ to_axes.T
         if not of_head:  # landmarks of an earlier run, and the start
-            joint = block_diag(cov, joint)
+            joint = diagonal([cov, joint])
         joint[: len(cov), : len(cov)] = cov
         joint = self._head.propagated(0.5 * (joint + joint.T), pending)
         self._joint, self._pending = joint.copy(), pending
