@@ -213,10 +213,11 @@ class MapView:
         return bool((np.hypot(rows - math.ceil(reach), cols - math.ceil(reach)) <= reach).any())
 
     def moved(self, position: Array) -> None:
-        """Take in where the robot is, (2,)."""
+        """Take in where the robot is, (2,), and that it fits on its way there; it may begin inside the inflation."""
         cells = track_cells(np.array([position if self._last is None else self._last, position]), self.cell_m)
-        self._last, at = position, self._inside(cells)
-        if self.blocked[at].any() or not self._driven[at].all():
+        at, is_start = self._inside(cells), self._last is None
+        self._last = position
+        if not is_start and (self.blocked[at].any() or not self._driven[at].all()):
             self._driven[at] = True
             self.redraw(box_of(cells))
 

@@ -17,7 +17,6 @@ from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
-_FREE = np.uint8(1)
 _OUT_M = 2.0  # longest way out of the inflation over tight cells
 _STEP = 0.1  # cells between the points of a path whose cells are its own: fewer would cut corners
 _OVERLAP = np.uint8(4)  # on the way out, price of cells where, if the map is right, the robot does not fit
@@ -33,7 +32,7 @@ def way_out(grid: Grid, space: FreeSpace, start: Array, clearance_m: float) -> A
     row, col = (math.floor(start[k] / cell_m) for k in (1, 0))
     box = Box(row - reach, col - reach, row + reach + 1, col + reach + 1)
     overlap, obstacles = grid.inflated(box, -clearance_m), grid.inflated(box, -math.inf)
-    prices: Prices = np.where(obstacles, np.uint8(0), np.where(overlap, _OVERLAP, _FREE))
+    prices: Prices = np.where(obstacles, np.uint8(0), np.where(overlap, _OVERLAP, np.uint8(1)))
     rows, cols = np.arange(box.top, box.bottom), np.arange(box.left, box.right)
     down, across = round(space.origin[1] / cell_m), round(space.origin[0] / cell_m)
     costs = costs_from(prices, reach, reach)
