@@ -43,7 +43,7 @@ _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
 _FILE_TICK = timedelta(seconds=5.0)  # wall time between two writes to a file
 _BAND = "#999999"
 _STAGE_COLORS = (
-    "#999999", "#bbbbbb", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, OBSERVATION, PLAN, WALL_FOUND, LANDMARK, OBSERVATION
+    "#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, OBSERVATION, PLAN, WALL_FOUND, LANDMARK, OBSERVATION
 )  # fmt: skip
 
 

@@ -133,7 +133,7 @@ def test_what_no_run_has_written_is_never_removed(name: str, here: Path) -> None
         (out / file).parent.mkdir(exist_ok=True)
         (out / file).mkdir() if file.endswith("/") else (out / file).write_text(text)
     before = content(here)
-    with pytest.raises(InputError, match=r"^--out: .*x is not a run folder, it holds "):
+    with pytest.raises(InputError, match=r"^out: .*x is not a run folder, it holds "):
         RunFolder(out, Config(), overwrite=True)
     assert content(here) == before
 
@@ -151,7 +151,7 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
     elif name == "no overwrite":
         made(out)
     before = content(here)
-    with pytest.raises(InputError, match=r"^--out: "):
+    with pytest.raises(InputError, match=r"^out: "):
         RunFolder(Path() if name == "no name" else out, Config(), overwrite=name != "no overwrite")
     assert content(here) == before
 

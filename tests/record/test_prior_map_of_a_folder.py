@@ -126,15 +126,15 @@ def test_a_start_in_a_map_has_its_pose_and_sigmas_and_is_noted(folder: Path) -> 
 
 
 @pytest.mark.parametrize(("has_map", "pose", "sigma", "lost", "said"), [
-    (False, (1.0, 2.0, 3.0), None, False, "^--pose: found without --prior-map"),
-    (False, None, (1.0, 2.0, 3.0), False, "^--pose-sigma: found without --prior-map"),
-    (False, None, None, True, "^--lost: found without --prior-map"),
-    (True, (1.0, 2.0), None, False, "^--pose: found 1.0 2.0, allowed: three finite numbers"),
-    (True, None, (1.0, 2.0, np.inf), False, "^--pose-sigma: .* allowed: three finite numbers"),
-    (True, None, (0.1, -0.2, 0.3), False, "^--pose-sigma: .* allowed: at least 0"),
-    (True, (1.0, 2.0, 3.0), None, True, "^--pose: found with --lost"),
-    (True, None, (0.1, 0.2, 0.3), True, "^--pose-sigma: found with --lost"),
+    (False, (1.0, 2.0, 3.0), None, False, "^pose: found without `prior_map`"),
+    (False, None, (1.0, 2.0, 3.0), False, "^pose_sigma: found without `prior_map`"),
+    (False, None, None, True, "^lost: found without `prior_map`"),
+    (True, (1.0, 2.0), None, False, "^pose: found 1.0 2.0, allowed: three finite numbers"),
+    (True, None, (1.0, 2.0, np.inf), False, "^pose_sigma: .* allowed: three finite numbers"),
+    (True, None, (0.1, -0.2, 0.3), False, "^pose_sigma: .* allowed: at least 0"),
+    (True, (1.0, 2.0, 3.0), None, True, "^pose: found with `lost`"),
+    (True, None, (0.1, 0.2, 0.3), True, "^pose_sigma: found with `lost`"),
 ])  # fmt: skip
 def test_a_start_that_says_nothing_or_contradicts_itself_is_refused(has_map, pose, sigma, lost, said, folder) -> None:
     with pytest.raises(InputError, match=said):
-        prior_start(folder if has_map else None, pose, sigma, lost, "--")
+        prior_start(folder if has_map else None, pose, sigma, lost)

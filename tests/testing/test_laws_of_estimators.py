@@ -275,11 +275,11 @@ BROKEN = [
     (9, surer("forget"), "a_forgotten_landmark_leaves_the_marginal_of_the_others [points and walls]"),
     (10, broken(predict=lambda own, call, o: call(replace(o, wheels=None))),
      "a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares [points]"),
-    (10, broken(wheels=lambda own, call: call() and replace(call(), cov=0.999 * call().cov)),
+    (10, broken(calibration=lambda own, call, kind: call(kind) and replace(call(kind), cov=0.999 * call(kind).cov)),
      "odometry_that_does_not_depend_on_the_wheels_leaves_them_alone"),
     (11, broken(update=lambda own, call, seen: call({i: replace(s, sensor=None) for i, s in seen.items()})),
      "parameters_and_pose_converge_to_the_truth_as_noise_goes_to_zero [sensor]"),
-    (12, broken(sensor=lambda own, call: call() and replace(call(), cov=0.999 * call().cov)),
+    (12, broken(calibration=lambda own, call, kind: call(kind) and replace(call(kind), cov=0.999 * call(kind).cov)),
      "before_any_motion_the_parameters_keep_their_prior [sensor]"),
     (13, broken(Smooths, link=lambda own, call, given: call(
         [replace(k, relative=Odometry(k.relative.motion, 0.25 * k.relative.cov)) for k in given])),
