@@ -18,7 +18,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.appearance import appearance
 from sixthsense.slam.scans.evidence import BACK_M, OldPass, PlacedScans, Surroundings, evidence_of, followed_back
-from sixthsense.slam.scans.graph import REACH_M, ScanGraph
+from sixthsense.slam.scans.graph import OLD_AGE, REACH_M, ScanGraph
 from sixthsense.slam.scans.places import (
     NEAR_M,
     PLACE,
@@ -186,11 +186,13 @@ class PlaceSearch:
         found, range_m = recent_surfaces(self._graph, key, travelled_m)
         if len(found) < LEAST_POINTS:
             return None
+        # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
+        known = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - OLD_AGE)])
         looks, submaps, self._submaps = [], self._submaps, {}
         for anchor in self._likeliest(key, old, sigma_m, appearance(found)):
             window = self._window(key, anchor, float(sigma_m[anchor]), float(sigma_rad[anchor]))
             if window is not None:
-                around = old[np.abs(travelled_m[old] - travelled_m[anchor]) < _HALF_M + BACK_M + REACH_M]
+                around = known[np.abs(travelled_m[known] - travelled_m[anchor]) < _HALF_M + BACK_M + REACH_M]
                 place = anchor, range_m
                 cells = submaps.get(place) or self._submap(anchor, old, travelled_m, range_m)
                 self._submaps[place] = cells
