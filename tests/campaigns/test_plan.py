@@ -18,7 +18,7 @@ import sixthsense as ss
 from sixthsense import campaigns, cli
 from sixthsense.campaigns import CampaignPlan, Rows, report, worker
 from sixthsense.campaigns.cluster import check_workers
-from sixthsense.campaigns.folder import save_folder
+from sixthsense.campaigns.folder import read_folder, save_folder
 from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, scene_digest, seed_range
 from sixthsense.config import Config, merge
 from sixthsense.config.errors import InputError
@@ -184,6 +184,14 @@ def test_a_damaged_table_of_a_campaign_is_named(done: CampaignPlan, old: str, ne
     Path("mc/campaign.toml").write_text(text.replace(old, new))
     with pytest.raises(InputError, match=said):
         ss.load_campaign("mc")
+
+
+def test_the_folder_keeps_the_axes_and_scenes_of_earlier_commands(done: CampaignPlan) -> None:
+    more = campaign_of({**AXES, "scene": ["block"], "estimator": ["ekf-fej"]}, [7], FIELDS)
+    save_folder(Path("mc"), more, read_folder(Path("mc")))
+    saved, scenes = read_folder(Path("mc")), [*done.values["scene"], "block"]
+    assert (saved["axes"]["estimator"], saved["axes"]["seeds"]) == (["ekf", "isam2", "ekf-fej"], ["0:3", "7:8"])
+    assert saved["axes"]["scene"] == scenes and saved["scenes"] == done.digests() | more.digests()
 
 
 def test_rows_come_back_with_their_numbers_and_texts_and_a_second_one_replaces_the_first() -> None:

@@ -40,17 +40,6 @@ def test_fields_are_given_by_name_and_sections_as_mappings():
     assert run.name == "rectangle"
 
 
-def test_a_runs_folder_is_what_the_command_writes_and_loads_as_the_run_it_was(folder):
-    out, run = folder
-    assert {"config.toml", "bag", "metrics.json", "estimate.tum", "figures"} <= {entry.name for entry in out.iterdir()}
-    loaded = ss.load(out)
-    assert same(loaded, run)
-    assert loaded.name == "one"
-    assert loaded.plot("error").png()[:4] == b"\x89PNG"
-    with pytest.raises(ss.InputError, match="exists, allowed: a new folder"):
-        ss.run("rectangle", out=out, **SHORT)
-
-
 def test_a_folder_is_replayed_with_its_own_configuration_and_fields_over_it(folder):
     out, run = folder
     assert same(ss.replay(out), run)
