@@ -8,6 +8,15 @@ COPY sixthsense sixthsense
 COPY scenes scenes
 RUN python -m venv /opt/venv && /opt/venv/bin/pip install --no-cache-dir ".[campaign]"
 
+# docker build --target interop -t sixthsense-interop . && docker run --rm sixthsense-interop
+# Live runs with a robot on Fast DDS, as ROS 2 speaks it; of Debian 12, whose Fast DDS is 2.9.
+FROM python:3.12-slim-bookworm AS interop
+RUN apt-get update && apt-get install -y --no-install-recommends \
+    default-jre-headless fastddsgen g++ libfastrtps-dev make && rm -rf /var/lib/apt/lists/*
+WORKDIR /source
+COPY . .
+CMD ["make", "interop"]
+
 FROM python:3.12-slim
 COPY --from=build /opt/venv /opt/venv
 ENV PATH=/opt/venv/bin:$PATH \

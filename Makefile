@@ -1,9 +1,10 @@
+# GTSAM has no wheel for Python 3.10, as of ROS 2 Humble: make PYTHON=python3.12, in whose venv no ROS is needed.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SCALE ?= 1
 
-.PHONY: run test test-all coverage notebooks check mutants kernels bench evidence evidence-logs guard pictures pictures-check docs clean
+.PHONY: run test test-all interop coverage notebooks check mutants kernels bench evidence evidence-logs guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -20,6 +21,9 @@ test: $(VENV)/installed  ## what CI runs
 
 test-all: $(VENV)/installed  ## the slow statistics too
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+interop: $(VENV)/installed kernels  ## live runs with a robot on Fast DDS; Debian: apt-get install libfastrtps-dev fastddsgen g++
+	$(BIN)/python -m pytest tests/interop/fast_dds.py -rs -n 0
 
 coverage: $(VENV)/installed  ## which share of the branches of each room the tests take
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal --cov=sixthsense --cov-branch --cov-report=

@@ -67,11 +67,11 @@ class Network:
     def xml(self) -> str:
         """The configuration of Cyclone DDS; docs/howto/live.md says what its settings are for."""
         interfaces = "".join(
-            f"\n    <NetworkInterface {'address' if _is_address(one) else 'name'}={quoteattr(one)}/>"
+            f"\n      <NetworkInterface {'address' if _is_address(one) else 'name'}={quoteattr(one)}/>"
             for one in self.interfaces
         )
         peers = (LOOPBACK,) if self.is_loopback and not self.peers else self.peers
-        listed = "".join(f"\n    <Peer address={quoteattr(peer)}/>" for peer in peers)
+        listed = "".join(f"\n      <Peer address={quoteattr(peer)}/>" for peer in peers)
         return f"""<CycloneDDS><Domain>
   <General>
     <Interfaces>{interfaces}

@@ -1,4 +1,4 @@
-// A robot in a room, or a listener, on Fast DDS with the types of ROS 2. At its end it prints one line of JSON.
+// A robot in a room, or a listener, on Fast DDS with the types of ROS 2. It prints the time of joining and, at its end, one line of JSON.
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
@@ -252,6 +252,9 @@ int main(int argc, char** argv) {
     peer.listen<nav::OccupancyGrid_PubSubType, nav::OccupancyGrid_>("/map", true);
     peer.listen<maps::OccupancyGridUpdate_PubSubType, maps::OccupancyGridUpdate_>("/map_updates");
     if (options.obeys) peer.listen<geometry::Twist_PubSubType, geometry::Twist_>("/cmd_vel");
+    const auto now = std::chrono::system_clock::now().time_since_epoch();
+    std::printf("%.3f\n", std::chrono::duration<double>(now).count());  // when it has joined
+    std::fflush(stdout);
     std::unique_ptr<Robot> robot(options.listens ? nullptr : new Robot(peer, options));
     auto due = Clock::now();
     for (int k = 0; !is_over && since_s() < options.seconds; ++k) {

@@ -224,7 +224,7 @@ def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if
 
 
 def test_the_source_keeps_nothing_of_what_has_passed(bench):
-    """What grows with time is the record, and the map with the way driven."""
+    """What grows with time is the record, and the map with the way driven; clocks are compared for half a minute."""
 
     def memory_after(until_ms: int) -> int:
         while bench.now_ms < until_ms:
@@ -236,8 +236,8 @@ def test_the_source_keeps_nothing_of_what_has_passed(bench):
 
     tracemalloc.start()
     try:
-        before = memory_after(15_000)
-        assert memory_after(50_000) - before < 50_000
+        before = memory_after(32_000)
+        assert memory_after(67_000) - before < 50_000
     finally:
         tracemalloc.stop()
 

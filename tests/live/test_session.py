@@ -5,6 +5,7 @@ import itertools
 import math
 import os
 import threading
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -180,6 +181,11 @@ def test_a_network_is_found_by_multicast_beside_its_peers_unless_it_is_this_mach
     assert [peer.get("address") for peer in discovery.iter("Peer")] == peers
     found = [one.attrib for one in general.iter("NetworkInterface")]
     assert found == [{"name" if one == "eth0" else "address": one} for one in network.interfaces]
+
+
+def test_the_documented_configuration_is_the_one_that_is_used():
+    page = Path(__file__).parents[2] / "docs" / "howto" / "live.md"
+    assert f"```xml\n{Network(0, ('eth0',), ('10.0.0.2',)).xml()}\n```" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
