@@ -92,11 +92,11 @@ def test_an_enclosed_robot_sees_its_enclosure_and_is_done(tmp_path: Path) -> Non
     assert made.metrics["sim_time_s"] < 60.0
 
 
-def test_a_place_behind_a_door_that_only_the_clearance_closes_has_that_reason(tmp_path: Path) -> None:
-    made = explored(tmp_path, two_rooms(0.45))
-    assert made.outcome == "explored in part"
-    assert made.trace.left[0].reason == "cut off by inflation only"
-    assert made.trace.left[0].x > 4.0 - 0.3
+def test_places_behind_a_door_that_is_narrower_than_the_robot_are_left_and_named(tmp_path: Path) -> None:
+    made = explored(tmp_path, two_rooms(0.3))
+    assert made.outcome == "explored in part" and made.metrics["collisions"] == 0
+    assert {place.reason for place in made.trace.left} == {"unreachable"}
+    assert all(4.0 < place.x < 4.6 for place in made.trace.left) and len(made.trace.left) == 2  # beside the door
 
 
 @pytest.mark.parametrize("seed", range(3))
