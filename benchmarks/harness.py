@@ -33,9 +33,9 @@ from sixthsense.evaluation.metrics import relations_error
 from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.run import Run, load
 from sixthsense.loop.run import OnTick
-from sixthsense.running.runs import Watch, replay_log, simulate
+from sixthsense.running.runs import RunHooks, replay_log, simulate
 from sixthsense.sources.logs.log import Log, Relations
-from sixthsense.sources.replay_input import Recorded
+from sixthsense.sources.replay_input import ReplayInput
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -51,7 +51,7 @@ PACKAGE = ("sixthsense", "scenes")
 
 def run(config: Config, *hooks: OnTick) -> Run:
     """Simulate a configuration, without a progress bar."""
-    return simulate(config, watch=Watch(hooks, progress=False))
+    return simulate(config, watch=RunHooks(hooks, progress=False))
 
 
 def run_by_processor(config: Config) -> Run:
@@ -62,7 +62,7 @@ def run_by_processor(config: Config) -> Run:
 
 def replay(log: Log, config: Config, relations: Relations | None = None) -> Run:
     """Replay an open log, without a progress bar."""
-    return replay_log(Recorded("log", log, config, relations, {}, ()))
+    return replay_log(ReplayInput("log", log, config, relations, {}, ()))
 
 
 def replay_errors(log: Log, config: Config, relations: Relations) -> Figures:

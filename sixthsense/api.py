@@ -13,14 +13,14 @@ from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
-from sixthsense.running.runs import Watch, replay_log, reserved, simulate
+from sixthsense.running.runs import RunHooks, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.loop.run import OnTick
     from sixthsense.slam.prior_map import PriorStart
     from sixthsense.sources.logs.log import Log, Relations
-    from sixthsense.sources.replay_input import Chosen, Recorded
+    from sixthsense.sources.replay_input import LogSelection, ReplayInput
 
 
 def run(
@@ -131,12 +131,12 @@ def replay(
         One line each: what is not allowed for this kind of log, and what cannot be read, with file and line.
 
     """
-    from sixthsense.sources.replay_input import Chosen
+    from sixthsense.sources.replay_input import LogSelection
 
     given = _register_custom(fields)
     prior = _prior_start(prior_map, given)
     if isinstance(log, (str, Path)):
-        chosen = Chosen(topics, robot, odometry_frames, units)
+        chosen = LogSelection(topics, robot, odometry_frames, units)
         found = _open_with_config(Path(log), config, relations, chosen, given, out)
     else:
         found = _opened(log, config, relations, given)
@@ -181,9 +181,9 @@ def merge_runs(
     """
     from sixthsense.config import load_config
     from sixthsense.running.merging import open_merged, replay_merged
-    from sixthsense.sources.replay_input import Chosen, check_options, check_out
+    from sixthsense.sources.replay_input import LogSelection, check_options, check_out
 
-    check_options(first, fields, Chosen())
+    check_options(first, fields, LogSelection())
     for run in (first, second):
         check_out(run, None if out is None else Path(out))
     config = _apply_fields(load_config(Path(first) / "config.toml"), _register_custom(fields))
@@ -211,10 +211,10 @@ def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorSt
 
 def _opened(
     log: Log, config: Config | None, relations: str | Path | Relations | None, given: Mapping[str, Any]
-) -> Recorded:
+) -> ReplayInput:
     """The input of a replay from a log that the caller has opened."""
     from sixthsense.sources.logs.log import read_relations
-    from sixthsense.sources.replay_input import Recorded, of_log, relations_of
+    from sixthsense.sources.replay_input import ReplayInput, of_log, relations_of
 
     if config is None:
         raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
@@ -222,17 +222,17 @@ def _opened(
     notes = log.remarks()
     if known is not None:
         known = relations_of(log, known, "relations", notes)
-    return Recorded("log", log, of_log(_apply_fields(config, given), log), known, {}, tuple(notes))
+    return ReplayInput("log", log, of_log(_apply_fields(config, given), log), known, {}, tuple(notes))
 
 
 def _open_with_config(
     log: Path,
     config: Config | None,
     relations: str | Path | Relations | None,
-    chosen: Chosen,
+    chosen: LogSelection,
     given: dict[str, Any],
     out: str | Path | None,
-) -> Recorded:
+) -> ReplayInput:
     """Open a log's file or folder with its configuration."""
     from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
@@ -245,8 +245,8 @@ def _open_with_config(
     return open_recorded(log, settings, relations, chosen)
 
 
-def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
-    return Watch(() if on_tick is None else (on_tick,), progress)
+def _watch(on_tick: OnTick | None, progress: bool | None) -> RunHooks:
+    return RunHooks(() if on_tick is None else (on_tick,), progress)
 
 
 def with_task(config: Config, given: Mapping[str, Any]) -> Config:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.auditing.pairing import Align
-from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, poses_from
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked, shown
 from sixthsense.core.arguments import as_array
@@ -96,12 +96,12 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
 
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
-        return made(f"{path} {found.topic}", found.stamps_ns, found.poses)
+        return poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses)
     from sixthsense.sources.logs.text_lines import read_tum
 
     notes: list[str] = []
     stamps, values = read_tum(_file(path), notes)
-    return replace(made(str(path), stamps, values), notes=tuple(notes))
+    return replace(poses_from(str(path), stamps, values), notes=tuple(notes))
 
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
@@ -109,7 +109,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
         from sixthsense.sources.logs.bag_file import read_poses
 
         found = read_poses(path, topic)
-        poses = made(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
+        poses = poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
         return replace(poses, frame="world", frames=(found.parent, found.child))
     path = _file(path)
     if covariance is None:
@@ -132,7 +132,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if not has.all() or off_s > _ROUNDED_S:
         count = f"{np.count_nonzero(has):,} of {len(has):,} poses"
         notes.append(f"{count} have a covariance within half a period, {off_s:.3g} s away at most")
-    return replace(made(str(path), stamps[has], values[has], covs[rows[has]]), notes=tuple(notes))
+    return replace(poses_from(str(path), stamps[has], values[has], covs[rows[has]]), notes=tuple(notes))
 
 
 def _file(path: Path) -> Path:
@@ -158,14 +158,14 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
 def _estimate_of_run(name: str, trace: Trace) -> Poses:
     if not trace.key_estimates:
         raise InputError(name, "found no keyframe", "a run with estimates")
-    poses = made(name, np.array(trace.key_stamps_ns, dtype=np.int64), *key_poses(trace.key_estimates))
+    poses = poses_from(name, np.array(trace.key_stamps_ns, dtype=np.int64), *key_poses(trace.key_estimates))
     return replace(poses, frame="world")
 
 
 def _truth_of_run(name: str, trace: Trace) -> Poses:
     if not trace.truths:
         raise InputError(name, "found a run without truth", "a truth from elsewhere")
-    return made(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
+    return poses_from(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
 
 
 def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
@@ -174,7 +174,7 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
         raise InputError("truth_frames", "found none", "parent and child in /tf, such as map base_link")
     from sixthsense.sources.logs.bag_file import read_transforms
 
-    links = [made(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
+    links = [poses_from(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
     moving = [link for link in links if len(link) > 1]
     stamps = max(moving, key=len).stamps_ns
     first, last = max(link.stamps_ns[0] for link in moving), min(link.stamps_ns[-1] for link in moving)
@@ -208,7 +208,7 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         raise InputError("", str(error)) from None
     if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
         raise InputError(f"{what} covariances", "found 6 x 6 of planar poses", "3 x 3")
-    return made(what, _nanoseconds(stamps_s), poses, covs)
+    return poses_from(what, _nanoseconds(stamps_s), poses, covs)
 
 
 def _described(given: object) -> str:

@@ -69,7 +69,7 @@ class Poses:
         return replace(self, positions=self.positions[:, :2], orientations=turn, covs=covs)
 
 
-def made(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = None) -> Poses:
+def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = None) -> Poses:
     """Sorted poses from (N, 3) x y theta, (N, 7) x y z qx qy qz qw, (N, 3, 3) or (N, 4, 4) matrices.
 
     Of poses with the same stamp the first is kept.

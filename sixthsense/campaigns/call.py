@@ -19,7 +19,7 @@ from sixthsense.config.fields import CampaignFields
 from sixthsense.config.names import ESTIMATORS, PLANNERS, Names
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
-from sixthsense.evaluation.groups import LABELS, Sample, Sampled
+from sixthsense.evaluation.groups import LABELS, RunTable, Sample
 from sixthsense.evaluation.summary import summary
 from sixthsense.evaluation.tables import html_table, text_table
 from sixthsense.record.writing import FolderLock
@@ -178,7 +178,7 @@ def _worker_count(workers: int | None) -> int | None:
     return workers
 
 
-class Campaign(Sampled):
+class Campaign(RunTable):
     """The runs of a running or finished campaign, read from its folder whenever they are asked for.
 
     `frame()` is their table; `ss.compare(campaign)` draws figures of them. It prints as a table of means.

@@ -67,7 +67,7 @@ def command(args: list[str]) -> int:
     network = options.network()
     from sixthsense.api import with_task
     from sixthsense.live.session import Session, Topics, check_drive
-    from sixthsense.running.runs import Watch, run_live
+    from sixthsense.running.runs import RunHooks, run_live
     from sixthsense.running.warmup import prepare
     from sixthsense.sources.logs.transforms import frame_pair
     from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
@@ -96,7 +96,7 @@ def command(args: list[str]) -> int:
             run_folder(options, config, f"live-{config.estimator}", source, prior) as folder,
             live_view(options) as hooks,
         ):
-            run = run_live(session, options.drive, folder, Watch(hooks, say=announce), prior)
+            run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
             for line in session.notices.summary():
                 announce(line)
             return show_end(run, options.verbose)

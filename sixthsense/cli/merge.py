@@ -31,22 +31,22 @@ class Merge(Common):
 
 def command(args: list[str]) -> int:
     """Merge two runs."""
-    from sixthsense.sources.replay_input import Chosen, check_options, check_out
+    from sixthsense.sources.replay_input import LogSelection, check_options, check_out
 
     options, flags = parse_command(Merge, args, _base)
     first, second = options.runs
-    check_options(first, flags, Chosen())
+    check_options(first, flags, LogSelection())
     for run in options.runs:
         check_out(run, options.out)
     from sixthsense.running.merging import open_merged, replay_merged
-    from sixthsense.running.runs import Watch
+    from sixthsense.running.runs import RunHooks
 
     announce(f"looking for {second} in the map of {first}")
     merged = open_merged(Path(first), Path(second), options.settings, options.relations)
     for note in merged.notes:
         announce(f"note: {note}")
     with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
-        return show_end(replay_merged(merged, folder, Watch(hooks, say=announce)), options.verbose)
+        return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), options.verbose)
 
 
 def _base(runs: tuple[str, ...] | None) -> str | Config:

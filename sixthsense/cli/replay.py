@@ -39,17 +39,17 @@ class Replay(WithPriorMap):
 
 def command(args: list[str]) -> int:
     """Replay a log."""
-    from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out, open_recorded
+    from sixthsense.sources.replay_input import LogSelection, base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, args, base_of)
     given = options.topics, options.odometry_frames, options.units
     topics, frames, units = (tuple(words.split(",")) if words else () for words in given)
-    chosen = Chosen(topics, options.robot, frames, units)
+    chosen = LogSelection(topics, options.robot, frames, units)
     check_options(options.log, flags, chosen)
     if options.log is None:
         raise InputError("log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder")
     check_out(options.log, options.out)
-    from sixthsense.running.runs import Watch, replay_log
+    from sixthsense.running.runs import RunHooks, replay_log
 
     prior = options.prior_start()
     found = open_recorded(options.log, options.settings, options.relations, chosen)
@@ -57,4 +57,4 @@ def command(args: list[str]) -> int:
         announce(f"note: {found.name}: {note}")
     stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
     with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
-        return show_end(replay_log(found, folder, Watch(hooks, say=announce), prior), options.verbose)
+        return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), options.verbose)

@@ -24,7 +24,7 @@ def command(args: list[str]) -> int:
         raise InputError("config", f"{options.config} is of a replay", "sixthsense replay LOG `config` FILE")
     config = options.settings_of_scene(flags)
     from sixthsense.api import with_task
-    from sixthsense.running.runs import Watch, simulate
+    from sixthsense.running.runs import RunHooks, simulate
     from sixthsense.sources.mission import mission_of
 
     prior = options.prior_start()
@@ -35,5 +35,5 @@ def command(args: list[str]) -> int:
         run_folder(options, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
         live_view(options) as hooks,
     ):
-        watch = Watch(hooks, realtime=options.realtime, say=announce)
+        watch = RunHooks(hooks, realtime=options.realtime, say=announce)
         return show_end(simulate(config, task, folder, watch, prior), options.verbose)

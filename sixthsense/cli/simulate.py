@@ -34,7 +34,7 @@ def command(args: list[str]) -> int:
     from sixthsense.api import with_task
     from sixthsense.live.reading import TWIST
     from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
-    from sixthsense.running.runs import Watch, simulate
+    from sixthsense.running.runs import RunHooks, simulate
     from sixthsense.running.warmup import prepare
     from sixthsense.sources.mission import mission_of
 
@@ -45,7 +45,7 @@ def command(args: list[str]) -> int:
         robot.begin(options.truth)
         announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
         if drives_itself:
-            outcome = simulate(config, task, None, Watch((robot.on_tick,), False, realtime=True)).outcome
+            outcome = simulate(config, task, None, RunHooks((robot.on_tick,), False, realtime=True)).outcome
         else:
             outcome = drive_by_commands(robot, config, task, options.timeout)
     print(f"collisions: {int(outcome == 'collided')}")

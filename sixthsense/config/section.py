@@ -127,7 +127,7 @@ class Section:
         for name, hint in _hints(type(self)).items():
             object.__setattr__(self, name, checked(name, hint, getattr(self, name)))
 
-    def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
+    def with_implied(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """The fields that are to be replaced, with those that follow from them."""
         return table
 
@@ -199,7 +199,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     """
     known = {f.name: f for f in dataclasses.fields(typing.cast(Any, base))}
     changes: dict[str, Any] = {}
-    for name, value in base.completed({key.replace("-", "_"): value for key, value in table.items()}).items():
+    for name, value in base.with_implied({key.replace("-", "_"): value for key, value in table.items()}).items():
         if name not in known:
             raise InputError(f"{path}{shown_name(name)}", "no such field", ", ".join(known), nearest(name, known))
         current = getattr(base, name)

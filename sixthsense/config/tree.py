@@ -82,7 +82,7 @@ class Config(Section):
     explore: ExploreConfig = field(default_factory=ExploreConfig)
     safety: SafetyConfig = field(default_factory=SafetyConfig)
 
-    def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
+    def with_implied(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """What follows from named fields.
 
         A goal replaces a tour, and a tour a goal. A named estimator gets a front end that it can use, and a named front

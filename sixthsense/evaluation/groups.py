@@ -54,7 +54,7 @@ class Sample:
         return fields_of(self.name, self.config)
 
 
-class Sampled(ABC):
+class RunTable(ABC):
     """A table of runs that can be compared, such as a campaign."""
 
     name: str

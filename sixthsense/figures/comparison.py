@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, overload
 
 from sixthsense.config.errors import InputError, pandas
 from sixthsense.config.section import shown
-from sixthsense.evaluation.groups import LABELS, RUN, Sample, Sampled, differing, fields_of, labelled, usual_grouping
+from sixthsense.evaluation.groups import LABELS, RUN, RunTable, Sample, differing, fields_of, labelled, usual_grouping
 from sixthsense.evaluation.measured_run import numbered_names
 from sixthsense.evaluation.results import metrics_table
 from sixthsense.evaluation.summary import summary
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     By = str | Sequence[str] | None
 
-Compared = Run | Trace | str | Path | Sampled
+Compared = Run | Trace | str | Path | RunTable
 """a run, its record, or its folder; a campaign"""
 
 _KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage")
@@ -127,7 +127,7 @@ class Comparison:
         return f"<div>{title}<details><summary>titles</summary>{titles}</details>{table}</div>"
 
 
-def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comparison:
+def compare(runs: Iterable[Compared] | Mapping[str, Compared] | RunTable) -> Comparison:
     """Compare runs and campaigns, also of different scenes: a table (`.frame()`) and figures (`.plot("error")`).
 
         ss.compare({name: ss.run("office", estimator=name) for name in ("ekf", "isam2")})
@@ -150,14 +150,14 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comp
         _refuse_campaign(runs)
     if isinstance(runs, (Run, Trace, str, Path)):
         raise InputError("runs", f"found {shown(runs)}", "a list of runs or folders, or a mapping of them")
-    if isinstance(runs, Sampled):
+    if isinstance(runs, RunTable):
         runs = [runs]
     if isinstance(runs, Mapping):
         given = [(str(name), run) for name, run in runs.items()]
     else:
         found = list(runs)
         given = list(zip(_distinguishing_names(found), found, strict=True))
-    opened = [(name, one) if isinstance(one, Sampled) else (name, _with_name(name, one)) for name, one in given]
+    opened = [(name, one) if isinstance(one, RunTable) else (name, _with_name(name, one)) for name, one in given]
     with_record = [one for _, one in opened if isinstance(one, Run)]
     names = iter(numbered_names(with_record))
     samples: list[Sample] = []
@@ -196,6 +196,6 @@ def _distinguishing_names(runs: Sequence[Compared]) -> list[str]:
     names = []
     for run, trace, table in zip(runs, traces, tables, strict=True):
         label = " · ".join(labelled(name, table.get(name)) for name in apart) if table else ""
-        own = run.name if isinstance(run, Sampled) else "" if trace is None else trace.name or "run"
+        own = run.name if isinstance(run, RunTable) else "" if trace is None else trace.name or "run"
         names.append(label or own)
     return names

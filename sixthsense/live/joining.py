@@ -98,7 +98,7 @@ class _Waiting(NamedTuple):
     scan: Scan
 
 
-class Anew(NamedTuple):
+class OdometryReset(NamedTuple):
     """Odometry that has begun anew."""
 
     time_ns: int
@@ -127,7 +127,7 @@ class ScanJoiner:
         self.clock = RobotClock()
         self.dropped: Counter[str] = Counter()
         """number of messages by reason"""
-        self.anew: Anew | None = None
+        self.anew: OdometryReset | None = None
         """the last time that odometry has begun anew"""
         self.T_old_odom = Pose()
         """the frame of odometry, in that of its first message: the identity until it begins anew"""
@@ -160,7 +160,7 @@ class ScanJoiner:
                 self.T_old_odom = before @ T_odom_robot.inverse()
                 reach_m = _FASTER * self._robot.speed * pause_s
                 jump_m = math.dist(went.position, before.position)
-                self.anew = Anew(time_ns, pause_s, reach_m, jump_m, went @ before.inverse())
+                self.anew = OdometryReset(time_ns, pause_s, reach_m, jump_m, went @ before.inverse())
         self._odometry.append((time_ns, self.T_old_odom @ T_odom_robot))
         return True
 
@@ -234,7 +234,7 @@ Publisher = Literal["known", "new", "unknown", "second"]
 """of a message: the one that sends; one that has taken its place; one that may do so; or one beside it"""
 
 
-class Presence:
+class SilenceDetector:
     """Tells when a sensor falls silent, and when it is back."""
 
     def __init__(self, name: str, now_ns: int, silent_ns: int) -> None:

@@ -15,7 +15,7 @@ from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
-from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, Anew, Presence, Publishers, ScanJoiner
+from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, OdometryReset, Publishers, ScanJoiner, SilenceDetector
 from sixthsense.live.network import Message
 from sixthsense.live.offset import ClockOffset
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
@@ -52,7 +52,7 @@ class Search:
     if it had not begun anew.
     """
 
-    def __init__(self, trace: Trace, last: Tick, anew: Anew) -> None:
+    def __init__(self, trace: Trace, last: Tick, anew: OdometryReset) -> None:
         """Begin with the map so far; `last` is the newest tick with a scan that the map has."""
         grid = trace.draw_map()
         assert grid is not None
@@ -113,7 +113,7 @@ class LiveRobot:
         self._is_restarted = False  # the driver, since the odometry that was used last
         self._shared_ns: int | None = None  # since when the commands have a second subscriber
         silent_ns = LONG_SILENT_NS if steering is None else SILENT_NS
-        self._scans, self._odometry = (Presence(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
+        self._scans, self._odometry = (SilenceDetector(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
         self._due: deque[Tick] = deque()
         self._last: Tick | None = None
         self._last_scan: Tick | None = None
@@ -200,7 +200,7 @@ class LiveRobot:
         text = f"scans {lead} odometry by {abs(lead_s):.2f} s, by the turns that both see (other clocks?)"
         self._say("clocks differ", f"{text}: their stamps are set right")
 
-    def _begin_anew(self, anew: Anew) -> None:
+    def _begin_anew(self, anew: OdometryReset) -> None:
         """The robot stands where it was, if it cannot be far from there; else it is searched in the map."""
         why = (
             "its driver was started again" if self._is_restarted else "faster than `robot.speed` and `robot.turn_rate`"

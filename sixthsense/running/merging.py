@@ -18,11 +18,11 @@ from sixthsense.core.source import Tick
 from sixthsense.figures.run import Run
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
-from sixthsense.running.runs import Watch, replay_log
+from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.log import Log, read_relations
-from sixthsense.sources.replay_input import Recorded, open_recorded, relations_of
+from sixthsense.sources.replay_input import ReplayInput, open_recorded, relations_of
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
 _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
@@ -30,7 +30,7 @@ _PAUSE_NS = 1_000_000_000  # between the runs, where the second was recorded ear
 
 
 @dataclass(frozen=True, slots=True)
-class Merged(Recorded):
+class Merged(ReplayInput):
     """Two runs as one log."""
 
     begin_ns: int
@@ -58,7 +58,7 @@ def _aligning(config: Config) -> Config:
     return dataclasses.replace(changed, max_time=None)
 
 
-def merged_log(first: Recorded, second: Recorded) -> Merged:
+def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
     """The ticks of both runs; raises InputError if the second is found nowhere in the first.
 
     The second run is mapped by itself, and what it has seen on its last metres is searched for in the map of the first,
@@ -86,7 +86,7 @@ def merged_log(first: Recorded, second: Recorded) -> Merged:
     return Merged(f"{first.name}-{second.name}", log, first.config, None, files, notes, begin_ns)
 
 
-def replay_merged(merged: Merged, folder: RunFolder | None, watch: Watch) -> Run:
+def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> Run:
     """Replay a merged log, as `replay_log`; raises InputError if the second run could not be linked to the first.
 
     Nothing is left of the folder then.
@@ -111,7 +111,7 @@ def _are_linked(trace: Trace, begin_ns: int) -> bool:
     return trace.links is not None and bool(np.any((trace.links.ends < first).sum(axis=1) == 1))
 
 
-def _check_lasers(first: Recorded, second: Recorded) -> None:
+def _check_lasers(first: ReplayInput, second: ReplayInput) -> None:
     for run in (first, second):
         if not run.log.scans:
             raise InputError(run.name, "found a run without scans", "runs with scans")

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
     from sixthsense.slam.prior_map import PriorStart
     from sixthsense.sources.mission import Mission
-    from sixthsense.sources.replay_input import Recorded
+    from sixthsense.sources.replay_input import ReplayInput
     from sixthsense.sources.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class RunHooks:
     """How the progress of a run is shown, and the hooks that it calls."""
 
     hooks: Sequence[OnTick] = ()
@@ -43,7 +43,7 @@ class Watch:
     """called with the trace of a run that is over, before it is kept: an error leaves the run in its `.partial`"""
 
 
-QUIET = Watch(progress=False)
+QUIET = RunHooks(progress=False)
 """no bar and no hook"""
 
 
@@ -69,7 +69,7 @@ def simulate(
     config: Config,
     scene: Scene | Mission | None = None,
     folder: RunFolder | None = None,
-    watch: Watch = QUIET,
+    watch: RunHooks = QUIET,
     prior: PriorStart | None = None,
 ) -> Run:
     """Simulate `config.scene`, with `scene` as of `loop.run`, and keep the run in `folder`, if there is one.
@@ -90,7 +90,7 @@ def simulate(
 
 
 def replay_log(
-    recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET, prior: PriorStart | None = None
+    recorded: ReplayInput, folder: RunFolder | None = None, watch: RunHooks = QUIET, prior: PriorStart | None = None
 ) -> Run:
     """Replay a log that has been opened, and keep the run in `folder`, if there is one; errors as of `simulate`."""
     from sixthsense.loop import run as loop
@@ -101,7 +101,7 @@ def replay_log(
     return _watched(go, recorded.name, config, bar, folder, watch, of_log=True)
 
 
-def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: Watch, prior: PriorStart | None) -> Run:
+def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: RunHooks, prior: PriorStart | None) -> Run:
     """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
     status = LiveStatus(session.notices.dropped)
     bar = Progress("live", session.config.max_time, shown=watch.progress, status=status)
@@ -116,7 +116,7 @@ def _watched(
     config: Config,
     bar: Progress,
     folder: RunFolder | None,
-    watch: Watch,
+    watch: RunHooks,
     of_log: bool = False,
 ) -> Run:
     """What `go` makes of a run, called after each tick with the hooks that record, show and watch it."""

@@ -27,7 +27,7 @@ WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velo
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class ReplayInput:
     """An opened log with everything its replay needs."""
 
     name: str
@@ -64,7 +64,7 @@ def base_of(log: str | Path | None) -> str | Config:
     return {"graph": "victoria", "mrclam": "mrclam"}.get(kind, "log")
 
 
-class Chosen(NamedTuple):
+class LogSelection(NamedTuple):
     """What is chosen of a log of several sensors or robots."""
 
     topics: Sequence[str] = ()
@@ -77,7 +77,7 @@ class Chosen(NamedTuple):
     """of a bag or a CARMEN log that has others than metres and radians, such as `ranges=mm`"""
 
 
-def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Chosen) -> None:
+def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: LogSelection) -> None:
     """Raise InputError for given fields (nested) and options that do not apply to this kind of log."""
     robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
     for name in (*OF_THE_ROBOT, *sorted(robot)):
@@ -124,8 +124,8 @@ def open_recorded(
     log: str | Path,
     config: Config,
     relations: str | Path | Relations | None = None,
-    chosen: Chosen | None = None,
-) -> Recorded:
+    chosen: LogSelection | None = None,
+) -> ReplayInput:
     """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
 
     Fields of `config.laser` that were stated take precedence over the log. Raises InputError for an invalid file, and
@@ -135,7 +135,7 @@ def open_recorded(
     from sixthsense.sources.logs.log import read_relations
 
     files = {"log": str(absolute(log))}
-    chosen = chosen or Chosen()
+    chosen = chosen or LogSelection()
     topics, robot, frames, units = chosen
     if topics:
         files["topics"] = ",".join(topics)
@@ -165,7 +165,7 @@ def open_recorded(
     if config.no_odometry:
         _check_time(log, opened)
         notes.append(WITHOUT_ODOMETRY)
-    return Recorded(absolute(log).name, opened, config, given, files, tuple(notes))
+    return ReplayInput(absolute(log).name, opened, config, given, files, tuple(notes))
 
 
 def _check_time(path: str | Path, log: Log) -> None:

@@ -21,7 +21,7 @@ from urllib.parse import quote, urlsplit
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target, keeper
+from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target, watchdog
 
 _START_TIMEOUT_S = 60.0  # until the viewer listens
 _OWN = "'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:"
@@ -73,10 +73,10 @@ class Viewer:
         else:
             command += ["--hide-welcome-screen", "--expect-data-soon"]
         null = subprocess.DEVNULL
-        # A session of its own: Ctrl-C stops the run, and the viewer keeps showing its end. The keeper ends the viewer
+        # A session of its own: Ctrl-C stops the run, and the viewer keeps showing its end. The watchdog ends the viewer
         # when this process is gone.
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", keeper.__file__, *command],
+            [sys.executable, "-I", "-S", watchdog.__file__, *command],
             env=_environment(), stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True,
         )  # fmt: skip
         deadline = time.monotonic() + _START_TIMEOUT_S
@@ -92,7 +92,7 @@ class Viewer:
 
     def leave(self) -> None:
         """Leave the viewer running when this process ends."""
-        self._say(keeper.STAY)
+        self._say(watchdog.STAY)
 
     def end(self) -> None:
         """Stop the viewer if it is still running."""
@@ -100,13 +100,13 @@ class Viewer:
             self._relay.end()
         self._say(b"")
         try:
-            self._process.wait(2.0 * keeper.TIMEOUT_S)
+            self._process.wait(2.0 * watchdog.TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
 
     def _say(self, word: bytes) -> None:
-        """Write the last word to the keeper."""
+        """Write the last word to the watchdog."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError, ValueError):  # it has ended, or has been told before
             self._process.stdin.write(word)

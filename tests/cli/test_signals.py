@@ -75,7 +75,7 @@ def test_a_viewer_ends_with_its_run_even_if_that_is_killed(here):
     page = process.stderr.readline()
     port = page.rpartition("%3A")[2].partition("%2F")[0]
     wait_until(lambda: has_record(here / "x.partial"))
-    assert len(processes(f"\0--port\0{port}")) == 2  # the viewer and its keeper
+    assert len(processes(f"\0--port\0{port}")) == 2  # the viewer and its watchdog
     process.kill()
     process.communicate(timeout=60)
     wait_until(lambda: processes(f"\0--port\0{port}") == [])

@@ -10,7 +10,7 @@ from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.live.joining import Presence, Publishers, RobotClock, ScanJoiner
+from sixthsense.live.joining import Publishers, RobotClock, ScanJoiner, SilenceDetector
 
 MS, S = 1_000_000, 1_000_000_000
 BEGAN = 1_700_000_000_000 * MS
@@ -185,7 +185,7 @@ def test_a_pause_and_messages_that_arrive_at_once_after_it_are_no_jump():
 
 
 def test_a_sensor_is_silent_after_its_time_once_and_says_for_how_long_it_was():
-    laser = Presence("laser", 5 * S, 400 * MS)
+    laser = SilenceDetector("laser", 5 * S, 400 * MS)
     assert [laser.falls_silent(5 * S + ms * MS) for ms in (390, 400, 401, 900)] == [False, False, True, False]
     assert laser.heard(5 * S + 1500 * MS) == pytest.approx(1.5) and not laser.is_silent
     assert laser.heard(5 * S + 1600 * MS) is None and not laser.falls_silent(5 * S + 1900 * MS)

@@ -17,7 +17,7 @@ from sixthsense.record.folder import RunFolder
 from sixthsense.running.merging import Merged, _going_on, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.replay_input import Recorded, open_recorded
+from sixthsense.sources.replay_input import ReplayInput, open_recorded
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
@@ -97,12 +97,12 @@ def check_ticks(both, monday, tuesday):
     assert np.abs(step - true).max() < 0.1
 
 
-def recorded(folder) -> Recorded:
+def recorded(folder) -> ReplayInput:
     config = merge(ss.load_config(folder / "config.toml"), {"front_end": "scan-matching"})
     return open_recorded(folder, dataclasses.replace(config, max_time=None))
 
 
-def joined(one: Recorded, other: Recorded) -> Merged:
+def joined(one: ReplayInput, other: ReplayInput) -> Merged:
     """The first six seconds of both, the second where it truly was; the first was carried once, as a merged one."""
     first, second = ([*run.log.ticks[:300]] for run in (one, other))
     unknown = np.diag([0.1, 0.1, 0.02])

@@ -12,7 +12,14 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.log import Log, Relations
-from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out, open_recorded, recorded_scene
+from sixthsense.sources.replay_input import (
+    LogSelection,
+    base_of,
+    check_options,
+    check_out,
+    open_recorded,
+    recorded_scene,
+)
 
 S = 1_000_000_000
 
@@ -44,18 +51,21 @@ def test_the_base_of_a_replay_is_that_of_the_kind_of_its_log(logs) -> None:
 
 OPTIONS = [
     # what is given, and the kinds of logs on which it is allowed
-    ({}, Chosen(topics=("/scan",)), "topics", {"bag"}),
-    ({}, Chosen(odometry_frames=("odom", "base")), "odometry_frames", {"bag"}),
-    ({}, Chosen(robot=3), "robot", {"mrclam"}),
-    ({"preset": "log"}, Chosen(), "preset", {"carmen", "graph", "bag", "mrclam"}),
-    ({"laser": {"max_range": 7.0}}, Chosen(), "laser.max_range", {"carmen"}),
-    ({"laser": {"mount": (0.2, 0.3, 0.4)}}, Chosen(), "laser.mount", {"carmen", "run", "bag"}),
-    ({"no_odometry": True}, Chosen(), "no_odometry", {"carmen", "run", "bag"}),
-    ({"keyframes": {"distance_m": 0.3}}, Chosen(), "keyframes.distance_m", {"carmen", "run", "bag"}),
-    ({"assumed": {"landmark_floor_m": 0.3}}, Chosen(), "assumed.landmark_floor_m", {"carmen", "run", "bag", "mrclam"}),
-    ({"robot": {"speed": 0.3}}, Chosen(), "robot.speed", set()),
-    ({"robot": {"radius": 0.3}}, Chosen(), "robot.radius", {"carmen", "graph", "run", "bag", "mrclam"}),
-    ({"world": {"walkers": 3}}, Chosen(), "world", set()),
+    ({}, LogSelection(topics=("/scan",)), "topics", {"bag"}),
+    ({}, LogSelection(odometry_frames=("odom", "base")), "odometry_frames", {"bag"}),
+    ({}, LogSelection(robot=3), "robot", {"mrclam"}),
+    ({"preset": "log"}, LogSelection(), "preset", {"carmen", "graph", "bag", "mrclam"}),
+    ({"laser": {"max_range": 7.0}}, LogSelection(), "laser.max_range", {"carmen"}),
+    ({"laser": {"mount": (0.2, 0.3, 0.4)}}, LogSelection(), "laser.mount", {"carmen", "run", "bag"}),
+    ({"no_odometry": True}, LogSelection(), "no_odometry", {"carmen", "run", "bag"}),
+    ({"keyframes": {"distance_m": 0.3}}, LogSelection(), "keyframes.distance_m", {"carmen", "run", "bag"}),
+    (
+        {"assumed": {"landmark_floor_m": 0.3}}, LogSelection(), "assumed.landmark_floor_m",
+        {"carmen", "run", "bag", "mrclam"},
+    ),
+    ({"robot": {"speed": 0.3}}, LogSelection(), "robot.speed", set()),
+    ({"robot": {"radius": 0.3}}, LogSelection(), "robot.radius", {"carmen", "graph", "run", "bag", "mrclam"}),
+    ({"world": {"walkers": 3}}, LogSelection(), "world", set()),
 ]  # fmt: skip
 
 
@@ -87,7 +97,7 @@ def test_a_log_is_opened_with_its_laser_or_the_one_stated_and_without_odometry_i
     stated = open_recorded(logs["carmen"], preset("log", laser={"mount": (0.0, 0.0, 0.0), "max_range": 10.0}))
     assert (stated.config.laser.mount, stated.config.laser.max_range) == ((0.0, 0.0, 0.0), 10.0)
     assert open_recorded(logs["bag"], base).config.no_odometry is False
-    without = open_recorded(logs["bag"], merge(base, {"no_odometry": True}), chosen=Chosen(topics=("/scan",)))
+    without = open_recorded(logs["bag"], merge(base, {"no_odometry": True}), chosen=LogSelection(topics=("/scan",)))
     assert not without.log.has_odometry and without.files["topics"] == "/scan"
     assert any(note.startswith("no odometry is used") for note in without.notes)
     with Bag(logs["run"].parent / "scans") as bag:

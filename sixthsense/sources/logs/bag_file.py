@@ -180,8 +180,8 @@ class PoseTopic:
     """name of the frame whose poses they are; empty where the type does not say"""
 
 
-def read_poses(path: Path, topic: str = "", with_covariance: bool = True, besides: Collection[str] = ()) -> PoseTopic:
-    """Read the poses of a topic, by default of the only one with poses, `besides` excepted.
+def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclude: Collection[str] = ()) -> PoseTopic:
+    """Read the poses of a topic, by default of the only one with poses, without those to `exclude`.
 
     Raises InputError with the candidates unless there is one, and for a bag or a pose that cannot be read.
     """
@@ -191,7 +191,7 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, beside
     stamps: list[int] = []
     parent = child = ""
     with opened(path) as reader:
-        name = _chosen(path, reader, topic, kinds, besides)
+        name = _chosen(path, reader, topic, kinds, exclude)
         for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
             message: Any = reader.deserialize(raw, connection.msgtype)
             stamps.append(checked_stamp(f"{path} {name}", stamp_ns(message) or record_ns))
@@ -227,10 +227,10 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     return [(np.array([ns for ns, _ in link], dtype=np.int64), np.array([T for _, T in link])) for link in links]
 
 
-def _chosen(path: Path, reader: AnyReader, topic: str, kinds: Sequence[str], besides: Collection[str]) -> str:
+def _chosen(path: Path, reader: AnyReader, topic: str, kinds: Sequence[str], exclude: Collection[str]) -> str:
     """The topic that is wanted, or the only one of these types; InputError with the candidates otherwise."""
     types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
-    fitting = sorted(name for name, kind in types.items() if kind in kinds and name not in besides)
+    fitting = sorted(name for name, kind in types.items() if kind in kinds and name not in exclude)
     allowed = f"{', '.join(kind.rpartition('/')[2] for kind in kinds)}"
     if topic:
         if types.get(topic) not in kinds:

@@ -1,7 +1,8 @@
 """Starts a program and ends it when the process that asked for it is gone, whatever has ended that.
 
-Run as a program of its own: `python keeper.py PROGRAM ARGUMENT ...`. Its standard input is a pipe from the process that
-asked, which the operating system closes when the process ends. Before an end in order that process can write `stay`.
+Run as a program of its own: `python watchdog.py PROGRAM ARGUMENT ...`. Its standard input is a pipe from the process
+that asked, which the operating system closes when the process ends. Before an end in order that process can write
+`stay`.
 """
 
 from __future__ import annotations
