@@ -72,31 +72,12 @@ class WheelsConfig(Section):
 
     scale_sigma: Noise = 0.05
     """Of the scale error that distance and turn have in common: of the wheels' radii."""
-    track_sigma: Noise = 0.02
-    """Of the scale error that turns have besides: of the effective distance between the wheels."""
-    drift_sigma_rad_per_m: Annotated[float, Range(0.0, 100.0, unit="rad/m")] = 0.03
-    """Of the drift: a pair of wheels on a track of 0.4 m that differs by 1 % has 0.025."""
     latency_sigma_s: Noise = 0.0
     """Of the age of odometry at its stamp."""
     jitter_sigma_s: Noise = 0.0
     """Of the age's variation, from one change of the velocity to the next."""
     curve_loss_sigma_m_per_rad: Annotated[float, Range(0.0, 100.0, unit="m/rad")] = 0.0
     """Of the distance that curves are shorter than reported, per radian turned."""
-
-
-@dataclass(frozen=True)
-class SensorConfig(Section):
-    """Sigmas of the parameters of a sensor that names landmarks where these are estimated; 0: exactly known."""
-
-    scale_sigma: Noise = 0.03
-    """Of its scale error, as by the size of a barcode. It is not estimated: beside wheels of unknown radius nothing
-    tells it, so it only adds to the covariance."""
-    yaw_sigma_rad: Annotated[float, Range(0.0, math.pi, unit="rad")] = 0.03
-    """Of its direction in the robot's frame."""
-    forward_sigma_m: Noise = 0.1
-    """Of its place along the robot's x axis."""
-    bearing_scale_sigma: Noise = 0.03
-    """Of the scale error of bearings, as by a focal length."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +99,9 @@ class AssumedConfig(Section):
     floor_rad: AngularNoise = 1e-4
     """The same for the heading."""
     wheels: WheelsConfig = field(default_factory=WheelsConfig)
-    sensor: SensorConfig = field(default_factory=SensorConfig)
+    sensor_scale_sigma: Noise = 0.03
+    """Where the mount and lens of a sensor are estimated, the sigma of its scale error, as by the size of a barcode. It
+    is not estimated: beside wheels of unknown radius nothing tells it, so it only adds to the covariance."""
 
 
 DEFAULT_ROBOT_RADIUS_M = 0.2
@@ -139,8 +122,6 @@ class RobotConfig(Section):
     """Of the disc, m; 0: the scene's."""
     control_period_s: Annotated[float, Range(1e-4, 10.0)] = 0.02
     """Time between two control ticks."""
-    integration_step_s: Annotated[float, Range(1e-4)] = 0.01
-    """Longest RK4 step within a tick."""
 
 
 @dataclass(frozen=True)

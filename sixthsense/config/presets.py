@@ -25,7 +25,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     # 181 beams over [-pi, pi] whose last repeats the first: 180 around a closed circle.
     "report": {
         "estimator": "ekf",
-        "robot": {"speed": 0.1, "turn_rate": 0.5, "control_period_s": 1 / 60, "integration_step_s": 0.01},
+        "robot": {"speed": 0.1, "turn_rate": 0.5, "control_period_s": 1 / 60},
         "laser": {"beams": 180, "max_range": 5.0, "period_ticks": 10},
         "world": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},
         "assumed": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},

@@ -41,7 +41,7 @@ class Config(Section):
     prior is in assumed.wheels."""
     calibrate_sensor: bool = False
     """Estimate the mount and lens of a camera with the pose. For ekf-invariant and isam2, with logs of observations
-    that name their landmark; the prior is in assumed.sensor."""
+    that name their landmark; `core/sensor.py` has the prior."""
     no_odometry: bool = False
     """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
     ignored."""

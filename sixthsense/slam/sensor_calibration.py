@@ -31,11 +31,11 @@ class SensorCalibration:
         if config.calibrate_sensor:
             if not isinstance(estimator, Filter):
                 raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
-            prior = sensor_prior(config.assumed)
+            prior = sensor_prior()
             estimator.calibrate(prior)
             self._estimator = estimator
             self._sensor = prior.values
-            self._scale_variance = config.assumed.sensor.scale_sigma**2
+            self._scale_variance = config.assumed.sensor_scale_sigma**2
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The sensor's parameters, if they are estimated."""

@@ -22,6 +22,8 @@ from sixthsense.core.se2 import Triple, compose, composed, wrapped
 from sixthsense.core.source import Command, Tick
 from sixthsense.sources.walkers import Walkers
 
+INTEGRATION_STEP_S = 0.01
+"""the longest Runge-Kutta step within a tick"""
 DRAWS = 5
 """of noise per control tick: of speed and turn rate, and of slip in x, y and heading"""
 _MOVED_M = 1.0
@@ -61,7 +63,7 @@ class Drive(NamedTuple):
             float(robot.speed),
             float(robot.turn_rate),
             period_ns,
-            max(1, math.ceil(period_ns * 1e-9 / robot.integration_step_s - 1e-9)),
+            max(1, math.ceil(period_ns * 1e-9 / INTEGRATION_STEP_S - 1e-9)),
             float(world.motion.speed),
             float(world.motion.turn_rate),
             float(world.wheel_scale_error),

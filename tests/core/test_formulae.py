@@ -64,17 +64,15 @@ def test_a_rotation_of_the_world_moves_points_around_and_turns_walls():
 
 
 def test_priors_have_the_variances_that_are_configured():
-    assumed = preset(assumed={"wheels": {"scale_sigma": 0.03, "track_sigma": 0.05, "drift_sigma_rad_per_m": 0.07,
-                                         "latency_sigma_s": 0.011, "curve_loss_sigma_m_per_rad": 0.013},
-                              "sensor": {"yaw_sigma_rad": 0.02, "forward_sigma_m": 0.06,
-                                         "bearing_scale_sigma": 0.04}}).assumed  # fmt: skip
+    sigmas = {"scale_sigma": 0.03, "latency_sigma_s": 0.011, "curve_loss_sigma_m_per_rad": 0.013}
+    assumed = preset(assumed={"wheels": sigmas}).assumed
     wheels = wheel_prior(assumed).cov
     # The forward scale, and the same error of the turn beside one of its own by the track.
-    expected = np.diag([0.0009, 0.0034, 0.0049, 0.000121, 0.000169])
+    expected = np.diag([0.0009, 0.0013, 0.0009, 0.000121, 0.000169])
     expected[0, 1] = expected[1, 0] = 0.0009
     assert wheels == pytest.approx(expected)
     assert wheel_prior(assumed).with_sigmas()[1] == pytest.approx(np.sqrt(np.diag(expected)))
-    assert sensor_prior(assumed).with_sigmas().tolist() == [[0.0] * 3, pytest.approx([0.02, 0.06, 0.04])]
+    assert sensor_prior().with_sigmas().tolist() == [[0.0] * 3, pytest.approx([0.03, 0.1, 0.03])]
 
 
 @pytest.mark.parametrize("distribution, divisor", [("gaussian", 1.0), ("uniform", 3.0)])

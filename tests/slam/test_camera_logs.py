@@ -63,7 +63,7 @@ def seen(true, camera, rng):
 def run(ticks, **fields):
     """The result of a run, its error (3,) at the end, and the mean NEES over its keyframes."""
     assumed = {name: {**NOISE[name], **fields.pop(name, {})} for name in NOISE}
-    config = preset("mrclam", assumed={**assumed, "sensor": {"scale_sigma": 0.0}}, **fields)
+    config = preset("mrclam", assumed={**assumed, "sensor_scale_sigma": 0.0}, **fields)
     with Slam(config) as slam:
         for tick in ticks:
             slam.take(tick)
@@ -112,8 +112,8 @@ def test_where_nothing_is_off_estimating_it_costs_little():
 
 def test_the_scale_of_a_camera_stays_uncertain_away_from_the_start():
     ticks = list(camera_log(np.random.default_rng(1), 20.0))
-    config = preset("mrclam", assumed={"sensor": {"scale_sigma": 0.05}})
-    with Slam(config) as with_scale, Slam(preset("mrclam", assumed={"sensor": {"scale_sigma": 0.0}})) as without:
+    config = preset("mrclam", assumed={"sensor_scale_sigma": 0.05})
+    with Slam(config) as with_scale, Slam(preset("mrclam", assumed={"sensor_scale_sigma": 0.0})) as without:
         for tick in ticks:
             with_scale.take(tick)
             without.take(tick)

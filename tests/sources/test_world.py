@@ -185,7 +185,7 @@ def test_a_robot_that_hits_a_wall_stops_at_the_contact():
 
 
 def test_a_fast_robot_does_not_pass_a_thin_wall_and_is_not_stopped_by_one_beside_its_way():
-    fast = {"robot": {"speed": 50.0, "control_period_s": 0.05, "integration_step_s": 0.05}}
+    fast = {"robot": {"speed": 50.0, "control_period_s": 0.05}}
     config = merge(preset("noiseless"), fast)
     for low, high, is_hit in ((-0.3, 0.6, True), (0.6, 1.2, False), (-1.2, -0.3, False)):
         ends = START @ np.array([[1.0, low], [1.2, high]])
