@@ -36,11 +36,11 @@ class Audit(Options):
     truth: Annotated[tuple[str, ...], arg("FILE ...")] = ()
     """Bag, TUM file or folder of a run, one for each estimate. By default that of the run."""
     covariance: Annotated[tuple[str, ...], arg("FILE ...")] = ()
-    """Of TUM files: in each line a stamp and the 6 or 21 numbers of the upper triangle."""
+    """Covariances of TUM files: in each line a stamp and the 6 or 21 numbers of the upper triangle."""
     topic: str = ""
-    """Of the estimate in a bag, if there are several."""
+    """Topic of the estimate in a bag, if there are several."""
     truth_topic: str = ""
-    """Of the truth in a bag: a topic of poses, or /tf."""
+    """Topic of the truth in a bag: one of poses, or /tf."""
     truth_frames: Annotated[tuple[str, str] | None, arg("PARENT CHILD")] = None
     """In /tf; by default those that the estimate names."""
     frame: Literal["world", "body"] | None = None

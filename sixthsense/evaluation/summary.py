@@ -1,4 +1,4 @@
-"""What runs have come to: one run in a few lines, and a table of many, with means, intervals and outcomes by group."""
+"""Summary of runs: one run in a few lines, and a table of many, with means, intervals and outcomes by group."""
 
 from __future__ import annotations
 

@@ -109,5 +109,5 @@ def dds(module: str) -> Any:
     try:
         return import_module(f"cyclonedds.{module}")
     except ImportError as error:
-        allowed = 'allowed: after pip install "sixthsense[ros2]"'
-        raise InputError("ROS 2", f"Cyclone DDS cannot be imported ({error})", allowed) from None
+        found = f"Cyclone DDS cannot be imported ({error}), install it with pip install 'sixthsense[ros2]'"
+        raise InputError("ROS 2", found) from None

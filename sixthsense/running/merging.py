@@ -38,7 +38,7 @@ class Merged(ReplayInput):
 
 
 def open_merged(first: Path, second: Path, config: Config | None, relations: str | Path | None) -> Merged:
-    """The folders of two runs as one log, with `relations` to evaluate its replay; errors as of `merged_log`.
+    """The folders of two runs as one log, with `relations` to evaluate its replay. Raises what `merged_log` raises.
 
     Without `config` it is that of the first run. Scans are aligned, whatever front end and estimator it names.
     """

@@ -92,7 +92,10 @@ def simulate(
 def replay_log(
     recorded: ReplayInput, folder: RunFolder | None = None, watch: RunHooks = QUIET, prior: PriorStart | None = None
 ) -> Run:
-    """Replay a log that has been opened, and keep the run in `folder`, if there is one; errors as of `simulate`."""
+    """Replay a log that has been opened, and keep the run in `folder`, if there is one.
+
+    Raises what `simulate` raises.
+    """
     from sixthsense.loop import run as loop
 
     log, config, relations = recorded.log, recorded.config, recorded.relations
