@@ -60,7 +60,7 @@ class Search:
         self._T_odom_map = last.odometry @ Pose.from_array(trace.estimates[-1]).inverse()
         T_map_stood = self._T_odom_map.inverse()
         expected = (T_map_stood, T_map_stood @ anew.T_stood_went)
-        self._relocalizer = Relocalizer(grid.submap(), trace.config.grid, expected)
+        self._relocalizer = Relocalizer(grid.submap(), trace.config, expected)
 
     @property
     def is_over(self) -> bool:

@@ -188,7 +188,7 @@ def find_start(
     from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
 
     check_usable(prior.map, config)
-    first, relocalizer = RewindableSource(source), Relocalizer(prior.map.evidence, config.grid)
+    first, relocalizer = RewindableSource(source), Relocalizer(prior.map.evidence, config)
     start: Pose | None = None
 
     def search(tick: Tick, step: Step, command: Command) -> str | None:

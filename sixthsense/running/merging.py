@@ -70,7 +70,7 @@ def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
         _feed(slam, first.log.ticks)
         end = slam.pose
         slam.finish()
-        relocalizer = Relocalizer(slam.grid.submap(), first.config.grid)
+        relocalizer = Relocalizer(slam.grid.submap(), first.config)
     with Slam(first.config, Pose()) as slam:
         begin = _begin(slam, second.log.ticks, relocalizer)
     if begin is None:

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sixthsense.config import GridConfig
-from sixthsense.config.pipeline import ScansConfig
+from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.submap import Submap
@@ -42,8 +41,8 @@ MOST_DRIVEN_M = 40.0
 class Relocalizer:
     """Looks for the place of a robot in a map, from poses in a frame of its own."""
 
-    def __init__(self, evidence: Submap, config: GridConfig, expected: Sequence[Pose] = ()) -> None:
-        """Search in a map of this evidence, with cells and obstacles as `config` says.
+    def __init__(self, evidence: Submap, config: Config, expected: Sequence[Pose] = ()) -> None:
+        """Search in a map of this evidence, with the cells, the obstacles and the least score that `config` says.
 
         A place that agrees with one of `expected`, each a `T_map_own`, needs no second find.
         """
@@ -64,7 +63,7 @@ class Relocalizer:
             return None
         self._last, self.driven_m = pose, self.driven_m + distance_m
         if self._search is None:
-            self._search = _Search(MapViews(self._evidence, self._config, scan))
+            self._search = _Search(MapViews(self._evidence, self._config.grid, scan), self._config.scans.min_score)
         laser = pose @ scan.T_robot_laser
         found = self._search.look(scan, laser, self.driven_m)
         if found is None:
@@ -81,7 +80,8 @@ class Relocalizer:
 class _Search:
     """Looks for scans in a map."""
 
-    def __init__(self, views: MapViews) -> None:
+    def __init__(self, views: MapViews, min_score: float) -> None:
+        self._min_score = min_score
         self._views = views
         self.votes = Votes(views)
         self._travelled = np.zeros(0)
@@ -101,7 +101,7 @@ class _Search:
             return None
         look = Look(*self._where, np.zeros(3), self._views)
         back = followed_back(self._travelled, key)
-        found = best_place(self._views, back, points, [look], ScansConfig().min_score)
+        found = best_place(self._views, back, points, [look], self._min_score)
         return None if found is None or found.is_ambiguous else found
 
     def vote(self, found: Hypothesis) -> Vote | None:

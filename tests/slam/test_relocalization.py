@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scanned import box, look, outline
 
-from sixthsense.config import GridConfig, LaserConfig, preset
+from sixthsense.config import Config, GridConfig, LaserConfig, ScansConfig, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
@@ -69,10 +69,10 @@ WAY = along((1, 2), (4.5, 2), (4.5, 5), (14.5, 5), (14.5, 2), (12, 2), (14.5, 2)
 MAP = map_of(ROOMS, WAY)
 
 
-def search(poses, walls=ROOMS, prior=MAP, own=None):
+def search(poses, walls=ROOMS, prior=MAP, own=None, min_score=0.62):
     """Metres driven, and the error of its pose, once a robot that drives along the poses is certain; None if never."""
     own = own or Pose(3.0, -2.0, 0.7)
-    relocalizer = Relocalizer(prior.evidence, GRID)
+    relocalizer = Relocalizer(prior.evidence, Config(grid=GRID, scans=ScansConfig(min_score=min_score)))
     for k, pose in enumerate(poses):
         found = relocalizer.take(seen(walls, pose, k), own @ poses[0].inverse() @ pose)
         if found is not None:
@@ -88,6 +88,7 @@ def test_in_one_of_two_equal_rooms_nothing_is_certain():
 def test_once_the_corridor_tells_the_rooms_apart_the_place_is_found(room):
     way = along((room + 2, 2), (room + 4.5, 2), (room + 4.5, 5), (18.5, 5), (18.5, 6.2), (18.5, 5), (16, 5))
     driven_m, error = search(way)
+    assert search(way, min_score=1.0) is None  # no place explains every return
     assert driven_m > 4.0
     assert math.hypot(error.x, error.y) < 0.1 and abs(wrap_angle(error.theta)) < 0.03
 
