@@ -130,7 +130,7 @@ class LaserReader:
         message = self._reader.read(data, LASER_SCAN)
         frame = frame_name(message.header.frame_id)
         if self._max_range is None and not 0.0 < float(message.range_max) <= FARTHEST_M:  # true for NaN
-            allowed = f"up to {FARTHEST_M:g} m, or state it with `laser.max_range`"
+            allowed = f"allowed: up to {FARTHEST_M:g} m, or state it with `laser.max_range`"
             raise ValueError(f"found range_max {float(message.range_max)}, {allowed}")
         found = scan(message, self.T_robot_laser or Pose(), self.upside_down, self._max_range)
         if self._counts is not None:
