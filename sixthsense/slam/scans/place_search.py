@@ -18,7 +18,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.appearance import appearance
 from sixthsense.slam.scans.evidence import BACK_M, OldPass, PlacedScans, Surroundings, evidence_of, followed_back
-from sixthsense.slam.scans.graph import OLD_AGE, REACH_M, ScanGraph
+from sixthsense.slam.scans.graph import REACH_M, ScanGraph
 from sixthsense.slam.scans.places import (
     NEAR_M,
     PLACE,
@@ -187,7 +187,9 @@ class PlaceSearch:
         if len(found) < LEAST_POINTS:
             return None
         # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
-        known = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - OLD_AGE)])
+        # Certain by travel alone are those that overlap the placed scans themselves: they agree with any place.
+        passed = self._graph.is_kept[:key] & (travelled_m[key] - travelled_m[:key] > BACK_M + REACH_M)
+        known = np.union1d(old, np.flatnonzero(passed))
         looks, submaps, self._submaps = [], self._submaps, {}
         for anchor in self._likeliest(key, old, sigma_m, appearance(found)):
             window = self._window(key, anchor, float(sigma_m[anchor]), float(sigma_rad[anchor]))
