@@ -133,7 +133,8 @@ def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_fra
 @given(covariances)
 def test_a_planar_covariance_stands_at_x_y_and_yaw_of_six_and_comes_back(cov):
     plane = np.ix_((0, 1, 5), (0, 1, 5))
-    assert np.array_equal(spatial_covariance(cov)[plane], cov) and np.count_nonzero(spatial_covariance(cov)) == 9
+    found = spatial_covariance(cov)
+    assert np.array_equal(found[plane], cov) and np.count_nonzero(found) == np.count_nonzero(cov)
     message = Messages().odometry(7, Pose(), cov)
     assert np.array_equal(message.pose.covariance.reshape(6, 6)[plane], cov)
     assert np.array_equal(read_increment_covariance(message), cov)
