@@ -199,9 +199,6 @@ class PlaceSearch:
                 cells = submaps.get(place) or self._submap(anchor, old, travelled_m, range_m)
                 self._submaps[place] = cells
                 looks.append(Look(cells, window, self._graph.poses[anchor], OldPass(self._graph, around)))
-        self._submaps = {
-            place: cells for place, cells in self._submaps.items() if any(cells is look.cells for look in looks)
-        }
         back = followed_back(travelled_m, key)
         return best_place(self._graph, back, thinned(found), looks, self._config.min_score)
 
