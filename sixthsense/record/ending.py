@@ -162,8 +162,7 @@ def read_arrays(file: Path, trace: Trace) -> None:
         trajectory = _floats(arrays, "trajectory", (len(trace.key_stamps_ns), 3))
         trace.records = _records(arrays)
         trace.trajectory = trajectory
-        if "since_key" in arrays:  # not in older records
-            trace.since_key = list(_floats(arrays, "since_key", (len(trace.stamps_ns), 3)))
+        trace.since_key = list(_floats(arrays, "since_key", (len(trace.stamps_ns), 3)))
         if "link_ends" in arrays:
             ends = arrays["link_ends"].astype(np.int64).reshape(-1, 2)
             count = len(ends)

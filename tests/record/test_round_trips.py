@@ -25,7 +25,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan, sweep_times
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Closure, Tick
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.load import load_record
 from sixthsense.record.messages import Messages
@@ -75,6 +75,19 @@ def test_every_column_of_a_record_comes_back_to_the_bit(rng: np.random.Generator
     for name in ("hits", "passes", "seen", "obstacles"):
         assert np.array_equal(getattr(back.grid, name), getattr(trace.grid, name))
     assert np.array_equal(back.grid.free_space().blocked, trace.grid.free_space().blocked)
+
+
+def test_the_motions_since_keyframes_that_the_end_of_a_run_refined_take_the_place_of_those_of_the_drive() -> None:
+    trace = trace_of(np.random.default_rng(3))
+    driven, trace.since_key = trace.since_key, trace_of(np.random.default_rng(5)).since_key
+    with written(trace) as folder:
+        lines = [json.loads(line) for line in (folder / "record.jsonl").read_text().splitlines()]
+        scans = [line for line in lines if "scan" in line]
+        for line, motion in zip(scans, driven, strict=True):
+            line["since_key"] = motion.tolist()
+        (folder / "record.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+        back, _ = load_record(folder)
+    assert plain(back.since_key) == plain(trace.since_key) != plain(driven)
 
 
 @few
@@ -308,13 +321,17 @@ def scans_of(rng: np.random.Generator, count: int) -> Iterator[Scan]:
 
 
 def ticks_of(rng: np.random.Generator, at_ns: list[int], stamped: bool) -> list[Tick]:
-    """The ticks of a log with scans and known landmarks, with stamps of its own or without."""
-    found = []
+    """The ticks of a log with scans, known landmarks and loop closures, with stamps of its own or without."""
+    found: list[Tick] = []
     for stamp_ns, scan in zip(at_ns, scans_of(rng, len(at_ns)), strict=True):
         seen = {int(i): observation_of(rng, Kind(i % 3)) for i in rng.choice(99, 3, replace=False)}
         seen = {i: dataclasses.replace(o, extent=(0.0, 0.0)) for i, o in seen.items()}  # no cloud has it
         own_s = float(rng.integers(1, 2**31)) + 0.25 if stamped else None
-        found.append(Tick(stamp_ns, pose_of(rng), scan, seen, cov_of(rng), pose_of(rng), log_stamp_s=own_s))
+        ends = rng.permutation(len(found))[:2].tolist()
+        loops = tuple(Closure(k, pose_of(rng), cov_of(rng)) for k in ends)
+        found.append(
+            Tick(stamp_ns, pose_of(rng), scan, seen, cov_of(rng), pose_of(rng), log_stamp_s=own_s, closures=loops)
+        )
     return found
 
 
@@ -378,6 +395,10 @@ def test_messages_of_a_run_have_their_frames_stamps_poses_and_covariances(
     assert (mount.header.frame_id, mount.child_frame_id) == ("base_link", "laser")
     at, q = mount.transform.translation, mount.transform.rotation
     assert [at.x, at.y, 2.0 * math.atan2(q.z, q.w)] == pytest.approx(CONFIG.laser.mount)
+    loops = [(tick.stamp_ns, loop) for tick in ticks for loop in tick.closures or ()]
+    for (stamp, loop), (ns, message) in zip(loops, found.pop("/closures"), strict=True):
+        assert (ns, message.header.frame_id) == (stamp, str(loop.before))
+        assert pose_in(message.pose.pose) == loop.motion.array().tolist()
     frames = {"/odom": "odom", "/scan": "laser", "/observations": "base_link"}
     for topic, messages in found.items():
         assert {message.header.frame_id for _, message in messages} == {frames.get(topic, "map")}
@@ -398,7 +419,9 @@ def test_messages_of_a_run_have_their_frames_stamps_poses_and_covariances(
         points = [[pose_in(p.pose) for p in message.poses] for _, message in found.get(topic, [])]
         assert points == [[[x, y, 0.0] for x, y in path.tolist()] for path in paths]
     counts = {one["topic_metadata"]["name"]: one["message_count"] for one in meta["topics_with_message_count"]}
-    assert counts == {"/tf_static": 1, "/plan": 0} | {topic: len(messages) for topic, messages in found.items()}
+    assert counts == {"/tf_static": 1, "/plan": 0, "/closures": len(loops)} | {
+        topic: len(messages) for topic, messages in found.items()
+    }
     assert meta["message_count"] == sum(counts.values())
     assert meta["starting_time"]["nanoseconds_since_epoch"] == at_ns[0]
     assert meta["duration"]["nanoseconds"] == at_ns[-1] - at_ns[0]
