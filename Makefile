@@ -7,14 +7,24 @@ SCALE ?= 1
 .PHONY: run test test-all interop coverage notebooks check mutants kernels bench evidence evidence-logs guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
-# One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
-$(VENV)/installed: pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev,docs]"
-	touch $@
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-run: $(VENV)/installed  ## see a robot explore an apartment
-	$(BIN)/sixthsense run apartment --out runs/first --overwrite
+# One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
+$(VENV)/package: pyproject.toml
+	@echo "make: creating $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+	@echo "make: installing the package and what a run needs, about 750 MB"
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/installed: $(VENV)/package
+	@echo "make: installing what tests and documentation need besides, about 1.3 GB"
+	@$(PIP) --editable ".[dev,docs]"
+	@touch $@
+
+run: $(VENV)/package  ## see a robot explore an apartment
+	@echo "make: $(BIN)/sixthsense run apartment --out runs/first --overwrite"
+	@$(BIN)/sixthsense run apartment --out runs/first --overwrite
 
 test: $(VENV)/installed  ## what CI runs
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal

@@ -4,9 +4,10 @@
     python docs/pictures.py docs/apartment.png     # some, by their files
     python docs/pictures.py --check                # make them elsewhere, and say which differ from those kept
 
-Each PNG carries its command and the commit of the code as text ("Command", "Commit"), those in a notebook, too. What
-needs data or programs that are not here is left as it is, and said. Comparing belongs to a release: other versions draw
-other pixels.
+Each PNG carries its command and the commit of the code as text ("Command", "Commit"), those in a notebook, too. One
+that names a page in `quoted` has what the command printed as well ("Output"). The same takes the place of the block of
+that page which a comment with the picture's file marks. What needs data or programs that are not here is left as it is,
+and said. Comparing belongs to a release: other versions draw other pixels.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import base64
 import io
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -57,6 +59,8 @@ class Picture:
     """the page of docs/ whose code makes it, in place of commands"""
     needs: tuple[str, ...] = ()
     """files in the folder SIXTHSENSE_DATA"""
+    quoted: str = ""
+    """a page of docs/ that has what the commands print"""
     uses: tuple[str, ...] = ()
     """programs and modules beyond those of the extras dev and docs"""
 
@@ -89,20 +93,19 @@ def pictures() -> list[Picture]:
     return [*entries, *(Picture(file, needs=tuple(registry["notebooks"]["needs"].get(file, ()))) for file in files)]
 
 
-def run(command: str, folder: Path) -> None:
-    """One command in a folder, with this Python, and with paths of the repository in full."""
+def run(command: str, folder: Path) -> str:
+    """One command in a folder, with this Python, and with paths of the repository in full; what it prints."""
     program, *words = shlex.split(os.path.expandvars(command))
     words = [str(ROOT / word) if word.startswith("docs/") else word for word in words]
     own = sys.executable if program == "python" else str(Path(sys.executable).with_name(program))
-    subprocess.run([own, *words], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    return subprocess.run([own, *words], cwd=folder, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
-def make(picture: Picture, folder: Path, done: set[str]) -> Path:
+def make(picture: Picture, folder: Path, done: dict[str, str]) -> Path:
     """Run what is not `done`; the file made."""
     for command in picture.commands:
         if command not in done:
-            run(command, folder)
-            done.add(command)
+            done[command] = run(command, folder)
     if picture.page:
         sys.path.insert(0, str(ROOT / "docs" / "hooks"))
         from page_code import script
@@ -113,9 +116,11 @@ def make(picture: Picture, folder: Path, done: set[str]) -> Path:
     return folder / picture.made
 
 
-def stamped(content: bytes, command: str) -> bytes:
-    """A PNG with a palette, its command and the commit."""
+def stamped(content: bytes, command: str, output: str = "") -> bytes:
+    """A PNG with a palette, its command, what that printed, and the commit."""
     text, small = PngInfo(), io.BytesIO()
+    if output:
+        text.add_text("Output", output)
     text.add_text("Command", command)
     text.add_text("Commit", commit())
     with Image.open(io.BytesIO(content)) as image:
@@ -173,8 +178,16 @@ def difference(one: bytes, other: bytes) -> float:
         return max(float(np.mean(np.abs(a - b) > DIFFERENT)) for a, b in pairs)
 
 
-def keep(picture: Picture, folder: Path, done: set[str]) -> None:
-    """Make the picture and put it into its place."""
+def quoted(page: str, file: str) -> re.Match[str]:
+    """The block of a page that quotes what the commands of a picture print."""
+    block = rf"(?<=<!-- output of {re.escape(file)} -->\n\n```text\n)(.*?)(?=```\n)"
+    found = re.search(block, page, re.DOTALL)
+    assert found is not None, f"no block of {file}"
+    return found
+
+
+def keep(picture: Picture, folder: Path, done: dict[str, str]) -> None:
+    """Make the picture and put it into its place, and what its commands print."""
     kept = ROOT / picture.file
     if picture.is_notebook:
         import nbformat
@@ -182,10 +195,16 @@ def keep(picture: Picture, folder: Path, done: set[str]) -> None:
         nbformat.write(executed(picture), kept)
         return
     made = make(picture, folder, done).read_bytes()
-    kept.write_bytes(stamped(made, picture.command) if kept.suffix == ".png" else made)
+    output = "".join(done[command] for command in picture.commands) if picture.quoted else ""
+    kept.write_bytes(stamped(made, picture.command, output) if kept.suffix == ".png" else made)
+    if picture.quoted:
+        file = ROOT / "docs" / picture.quoted
+        page = file.read_text(encoding="utf-8")
+        begin, end = quoted(page, picture.file).span()
+        file.write_text(page[:begin] + output + page[end:], encoding="utf-8")
 
 
-def check(picture: Picture, folder: Path, done: set[str]) -> float:
+def check(picture: Picture, folder: Path, done: dict[str, str]) -> float:
     """Make the picture elsewhere: share of its pixels that differ from those kept; of a notebook's, the largest."""
     if not picture.is_notebook:
         return difference(make(picture, folder, done).read_bytes(), (ROOT / picture.file).read_bytes())
@@ -206,7 +225,7 @@ def main() -> int:
     os.environ |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     differing = []
     with tempfile.TemporaryDirectory() as folder:
-        done: set[str] = set()
+        done: dict[str, str] = {}
         for name in options.files or known:
             if missing := known[name].missing():
                 print(f"{name}: left as it is, missing: {', '.join(missing)}", flush=True)

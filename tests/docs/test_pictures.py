@@ -29,6 +29,22 @@ def test_a_picture_carries_its_command_and_the_commit(picture: pictures.Picture)
         assert re.fullmatch(r"[0-9a-f]{10}", image.info["Commit"])
 
 
+def test_a_page_quotes_what_the_command_of_its_picture_printed() -> None:
+    quoting = [picture for picture in pictures.pictures() if picture.quoted]
+    for picture in quoting:
+        with Image.open(ROOT / picture.file) as image:
+            page = (DOCS / picture.quoted).read_text(encoding="utf-8")
+            assert pictures.quoted(page, picture.file)[0] == image.info["Output"]
+    assert quoting
+
+
+def test_the_film_of_the_first_page_is_of_the_run_that_make_run_makes() -> None:
+    (film,) = (picture for picture in pictures.pictures() if picture.file == "docs/exploration.webp")
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    (made,) = re.findall(r"^\t@\$\(BIN\)/(sixthsense run .*) --out runs/first", makefile, re.MULTILINE)
+    assert film.commands[0].removesuffix(" --out first") == made
+
+
 def test_a_picture_is_compared_by_what_it_shows() -> None:
     shown = np.full((600, 800, 3), 255, dtype=np.uint8)
     shown[100:300, 200:500] = 0

@@ -15,6 +15,7 @@ from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run
 
 CONFIG = preset(task="tour", scene="rectangle", max_time=12.0, laser={"mount": [0.1, -0.05, 0.3], "max_range": 7.3})
+SCAN = Scan.from_config(np.linspace(1.5, 4.5, CONFIG.laser.beams), CONFIG.laser)
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +67,21 @@ def test_an_interrupted_run_has_a_whole_bag(tmp_path):
         run(CONFIG, stop)
     log = read_run(tmp_path, CONFIG.laser)
     assert log.remarks() == [] and log.ticks[-1].stamp_ns == 2_000_000_000
+
+
+def test_a_bag_that_was_cut_is_read_up_to_its_last_whole_chunk_and_the_log_says_how_far(tmp_path: Path):
+    ticks = [Tick(k * 1_100_000_000 + 7, Pose(0.3 * k, 0.2, 0.1), SCAN) for k in range(1, 14)]
+    with BagWriter(tmp_path) as bag:
+        trace = Trace(CONFIG, None, 0.23)
+        for tick in ticks:
+            bag(tick, trace)
+            bag._flush(trace)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    log = read_run(tmp_path, CONFIG.laser)
+    used = [tick.stamp_ns for tick in log.ticks]
+    assert 2 < len(used) < len(ticks) and used == [tick.stamp_ns for tick in ticks[: len(used)]]
+    assert log.remarks() == [f"the recording is incomplete; its first {1.1 * (len(used) - 1):.1f} s are used"]
 
 
 def test_ticks_that_are_written_at_once_are_the_messages_of_ticks_one_by_one(recorded, tmp_path: Path):
