@@ -23,7 +23,7 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
 
     package = find_spec("ziamath")
     if package is None or package.origin is None:
-        raise PluginError("mathematics: ziamath is missing, allowed: pip install 'sixthsense[docs]'")
+        raise PluginError("mathematics: ziamath is missing, allowed: pip install -e '.[docs]'")
     font = Path(package.origin).parent / "fonts" / _FONT
     files.append(File.generated(config, f"styles/{_FONT}", abs_src_path=str(font)))
     return files

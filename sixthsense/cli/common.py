@@ -69,7 +69,7 @@ class Common(WithSettings):
     overwrite: bool = False
     """Replace the folder if it exists."""
     view: Annotated[str | None, arg("[WHERE]"), OptionalValue("window", is_view_target, VIEW_TARGETS)] = None
-    """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install 'sixthsense[view]'."""
+    """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install -e '.[view]'."""
     verbose: bool = False
     """Print all metrics at the end."""
 

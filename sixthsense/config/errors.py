@@ -55,14 +55,17 @@ def did_you_mean(found: object, known: Iterable[str]) -> str:
     return f"; did you mean {near}?" if near else ""
 
 
+def installing(extra: str) -> str:
+    """How to install an extra; from a clone, until there is a release."""
+    return f"install it with pip install -e '.[{extra}]' in the clone of the repository"
+
+
 def import_extra(module: str, extra: str) -> Any:
     """A module that an extra installs; InputError, which says how to install it, if it is missing."""
     try:
         return import_module(module)
     except ImportError as error:
-        raise InputError(
-            module, f"cannot be imported ({error}), install it with pip install 'sixthsense[{extra}]'"
-        ) from None
+        raise InputError(module, f"cannot be imported ({error}), {installing(extra)}") from None
 
 
 def pandas() -> Any:

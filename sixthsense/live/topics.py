@@ -11,7 +11,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, installing
 from sixthsense.config.section import shown
 from sixthsense.record.messages import Messages
 
@@ -109,5 +109,4 @@ def dds(module: str) -> Any:
     try:
         return import_module(f"cyclonedds.{module}")
     except ImportError as error:
-        found = f"Cyclone DDS cannot be imported ({error}), install it with pip install 'sixthsense[ros2]'"
-        raise InputError("ROS 2", found) from None
+        raise InputError("ROS 2", f"Cyclone DDS cannot be imported ({error}), {installing('ros2')}") from None

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import quote, urlsplit
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, installing
 from sixthsense.config.section import shown
 from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target, watchdog
 
@@ -42,7 +42,7 @@ def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:
     except ValueError:
         raise InputError("address", f"found {shown(address)}", "an IP address of this machine") from None
     if find_spec("rerun") is None:
-        raise InputError("view", "needs Rerun, install it with pip install 'sixthsense[view]'")
+        raise InputError("view", f"needs Rerun, {installing('view')}")
     on_linux = sys.platform.startswith("linux")
     if str(target) == "window" and on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("view", "found window, but there is no display to open one on", "browser or FILE.rrd")

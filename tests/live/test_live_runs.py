@@ -20,7 +20,7 @@ from sixthsense.record.folder import has_record, reason_not_a_run
 from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.logs.ros_messages import stamp_ns
 
-pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'")
+pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 
 ODD_ROBOT = """
 import sixthsense.live.simulated as simulated

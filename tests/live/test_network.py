@@ -28,7 +28,7 @@ MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
 DOMAIN = 60 + os.getpid() % 40  # one for each process of tests, as they must not hear each other
 
-pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'")
+pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 
 
 @pytest.fixture

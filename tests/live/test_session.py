@@ -30,7 +30,7 @@ from sixthsense.sources.mission import Mission
 from sixthsense.sources.scene import load_scene
 from sixthsense.sources.world import World
 
-pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'")
+pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 
 DOMAIN = 100 + os.getpid() % 40
 LASER = {"beams": 90, "fov": 4.0, "max_range": 7.5, "mount": (0.12, -0.08, 0.6), "period_ticks": 6, "sweep_s": 0.03}
