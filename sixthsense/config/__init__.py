@@ -14,7 +14,6 @@ from sixthsense.config.pipeline import (
     PointsConfig,
     ScansConfig,
     SplitConfig,
-    WallsConfig,
 )
 from sixthsense.config.platform import (
     AssumedConfig,
@@ -54,7 +53,6 @@ __all__ = [
     "ScansConfig",
     "Section",
     "SplitConfig",
-    "WallsConfig",
     "WorldConfig",
     "as_table",
     "is_of_replay",

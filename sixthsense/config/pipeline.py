@@ -46,8 +46,6 @@ class SplitConfig(Section):
 class LinesConfig(Section):
     """Line fitting: RANSAC, then orthogonal least squares."""
 
-    ransac: bool = True
-    """Off: the whole second-level piece is fitted as one line."""
     ransac_threshold_m: Positive = 0.05
     """Greatest distance of an inlier from its line."""
     ransac_iterations: PositiveCount = 20
@@ -67,24 +65,12 @@ class LinesConfig(Section):
 class PointsConfig(Section):
     """Which end points and intersections count as landmarks."""
 
-    corners: bool = True
-    """Intersections of neighbouring walls."""
-    ends: bool = True
-    """Free ends of walls, by the report's four rules."""
     max_gap_m: Positive = 0.3
     """Two walls meet in a corner only if both end within this distance of it."""
     min_points: Annotated[int, Range(3)] = 8
     """Rule 4: fewest points of a partition with a free end."""
     max_sigma_m: Positive = 0.15
     """Largest sigma of a landmark along any direction; others are not reported."""
-
-
-@dataclass(frozen=True)
-class WallsConfig(Section):
-    """Which fitted walls count as landmarks."""
-
-    max_sigma_rad: Positive = 0.1
-    """Largest sigma of a wall's direction; others are not reported."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +87,6 @@ class FeaturesConfig(Section):
     split: SplitConfig = field(default_factory=SplitConfig)
     lines: LinesConfig = field(default_factory=LinesConfig)
     points: PointsConfig = field(default_factory=PointsConfig)
-    walls: WallsConfig = field(default_factory=WallsConfig)
 
 
 @dataclass(frozen=True)
@@ -122,10 +107,8 @@ class AssociationConfig(Section):
     proposed_by: Literal["estimate", "scan-matching"] = "estimate"
     """Where the robot is when matches are chosen: by the estimator's prediction; or by scan matching, which is used
     for nothing else."""
-    cull_period: PositiveCount = 25
-    """Keyframes between two checks."""
     cull_below: Count = 3
-    """A landmark with fewer observations than this, a period after its first one, is removed; 0: none is."""
+    """A landmark with fewer observations than this 25 keyframes after its first one is removed; 0: none is."""
 
 
 @dataclass(frozen=True)

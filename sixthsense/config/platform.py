@@ -70,8 +70,6 @@ class WorldConfig(Section):
 class WheelsConfig(Section):
     """Sigmas of the wheels' parameters where these are estimated, about the assumed values; 0: exactly known."""
 
-    scale_sigma: Noise = 0.05
-    """Of the scale error that distance and turn have in common: of the wheels' radii."""
     latency_sigma_s: Noise = 0.0
     """Of the age of odometry at its stamp."""
     jitter_sigma_s: Noise = 0.0
@@ -99,9 +97,6 @@ class AssumedConfig(Section):
     floor_rad: AngularNoise = 1e-4
     """The same for the heading."""
     wheels: WheelsConfig = field(default_factory=WheelsConfig)
-    sensor_scale_sigma: Noise = 0.03
-    """Where the mount and lens of a sensor are estimated, the sigma of its scale error, as by the size of a barcode. It
-    is not estimated: beside wheels of unknown radius nothing tells it, so it only adds to the covariance."""
 
 
 DEFAULT_ROBOT_RADIUS_M = 0.2

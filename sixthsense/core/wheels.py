@@ -59,6 +59,8 @@ class WheelTerms:
     """(3, 5) of (x, y, theta) of the motion by the parameters, axes of the frame before; m, rad"""
 
 
+_SCALE_SIGMA = 0.05
+"""of the scale error that distance and turn have in common: of the wheels' radii, which wear and the load change"""
 _TRACK_SIGMA = 0.02
 """of the scale error that turns have besides the common one: of the effective distance between the wheels"""
 _DRIFT_SIGMA_RAD_PER_M = 0.03
@@ -74,7 +76,7 @@ def wheel_prior(config: AssumedConfig) -> ParameterEstimate[Wheels]:
             sigmas.curve_loss_sigma_m_per_rad,
         ])
     )  # fmt: skip
-    cov[:2, :2] += sigmas.scale_sigma**2
+    cov[:2, :2] += _SCALE_SIGMA**2
     return ParameterEstimate(Wheels.assumed(config), cov)
 
 

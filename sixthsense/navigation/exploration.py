@@ -11,13 +11,13 @@ from typing import Literal
 import numpy as np
 
 from sixthsense.core.geometry import Pose
-from sixthsense.navigation.exploration_task import ExplorationTask
+from sixthsense.navigation.exploration_task import TRIES, ExplorationTask
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
-from sixthsense.navigation.path_planner import DrivingMap, margin_m
+from sixthsense.navigation.path_planner import DETOUR, DrivingMap, margin_m
 from sixthsense.navigation.pose_history import PoseHistory
-from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
+from sixthsense.navigation.unseen_places import LEAST_AREA_M2, UnseenPlace, unseen_places
 from sixthsense.navigation.view_planner import NO_TARGET, Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.views import KnownViews, SensorModel, ViewGain
@@ -146,7 +146,7 @@ class Exploration:
         """
         promised_m = self.driver.remaining_m(pose)
         self.driver.plan(pose)
-        is_longer = self.driver.remaining_m(pose) > self._task.config.safety.detour * promised_m
+        is_longer = self.driver.remaining_m(pose) > DETOUR * promised_m
         if self.driver.following and not (is_longer and self._is_repaid):
             return
         if not self._is_repaid:
@@ -199,7 +199,7 @@ class Exploration:
 
     def _look_for_a_way_home(self, pose: Pose) -> None:
         """Without a path home, try again where the guard has stopped the robot, which has come through somewhere."""
-        if self._ways_home < self._task.config.explore.tries:
+        if self._ways_home < TRIES:
             self._ways_home += 1
             self._view.forget_stops()
             self.driver.update_map(self._map, pose)
@@ -248,7 +248,7 @@ class Exploration:
     def _may_wait(self) -> bool:
         """Count a wait for people to go, anew if more has been seen; whether any are expected and patience is left."""
         seen_m2 = self._map.grid.seen_area_m2
-        if seen_m2 > self._seen_m2 + self._task.config.explore.least_area_m2:  # beside noise at obstacles' edges
+        if seen_m2 > self._seen_m2 + LEAST_AREA_M2:  # beside noise at obstacles' edges
             self._waits = 0
         self._seen_m2 = max(seen_m2, self._seen_m2)
         self._waits += 1

@@ -20,6 +20,8 @@ Region = tuple[float, float, float, float]
 Counts = NDArray[np.uint8]
 """(H, W) from how many viewpoints chosen for it each cell was not seen."""
 
+TRIES = 2
+"""a target that was not seen from this many viewpoints, with a full turn at each, is given up: one may mislead"""
 _OUTSIDE_M = 0.5  # outside the region, unknown cells count that lie so near to unseen ones of it
 
 
@@ -47,7 +49,6 @@ class AreaToSee:
         cell_m, laser_m, explore = config.grid.cell_m, config.laser.max_range, config.explore
         self.is_wide = False
         """whether the robot may drive, and unknown cells count, as far outside the region as its laser reaches"""
-        self._tries = explore.tries
         self._region = cells_within(region, cell_m, -0.5 * cell_m)
         self._limits = {
             False: cells_within(region, cell_m, explore.margin_m),
@@ -73,7 +74,7 @@ class AreaToSee:
 
     def given_up(self, attempts: Counts) -> Bools:
         """(H, W) the cells that were not seen from as many viewpoints as are tried."""
-        return np.asarray(attempts >= self._tries)
+        return np.asarray(attempts >= TRIES)
 
     def to_see(self, unknown: Bools, box: Box, attempts: Counts) -> Bools:
         """(H, W) the unknown cells of a box that are to be seen: those of the region, and some beside it.

@@ -18,7 +18,12 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.se2 import Triple
 from sixthsense.core.source import Command
+from sixthsense.slam.mapping.mapper import BODY_M
 
+BUFFER_M = 0.02
+"""added to the robot's radius: twice the noise of a range, and the slip of a robot that turns"""
+CREEP = 0.1
+"""lowest speed, m/s, to which obstacles beside the robot's arc slow it: it stops within a tick"""
 _NOTHING = np.zeros((0, 2))
 
 
@@ -63,10 +68,10 @@ def latency_s(config: Config) -> float:
 
 def sees_beside(radius_m: float, config: Config) -> bool:
     """Whether no obstacle ahead of or beside the disc of a guarded robot, within its buffer, is between two beams."""
-    laser, buffer_m = config.laser, config.safety.buffer_m
+    laser = config.laser
     spacing = abs(float(np.subtract(*beam_bearings(laser)[:2])))
-    is_around = laser.fov >= math.pi and spacing * (radius_m + buffer_m) <= buffer_m
-    return config.safety.guard and is_around and config.grid.clearance_m > buffer_m
+    is_around = laser.fov >= math.pi and spacing * (radius_m + BUFFER_M) <= BUFFER_M
+    return config.safety.guard and is_around and config.grid.clearance_m > BUFFER_M
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -178,11 +183,11 @@ class Guard:
         """whether what moves is nearest in the way of the latest command"""
         self.limits = GuardLimits(
             bool(config.safety.guard),
-            float(radius_m + config.safety.buffer_m),
-            float(radius_m + config.safety.buffer_m + config.safety.body_m),
+            float(radius_m + BUFFER_M),
+            float(radius_m + BUFFER_M + BODY_M),
             float(latency_s(config)),
             float(config.robot.deceleration),
-            float(config.safety.creep),
+            CREEP,
         )
         """what it allows"""
         self._scan: Scan | None = None  # the latest one, until its returns are needed

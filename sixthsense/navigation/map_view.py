@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import beam_bearings
-from sixthsense.navigation.exploration_task import AreaToSee, Counts, Region
+from sixthsense.navigation.exploration_task import TRIES, AreaToSee, Counts, Region
 from sixthsense.navigation.frontier import close_gaps, close_unseen_gaps, dilated
 from sixthsense.navigation.gridsearch import Reached, far_from
 from sixthsense.navigation.gridsearch.reached import SQUARE, TILE
-from sixthsense.navigation.guard import sees_beside
+from sixthsense.navigation.guard import BUFFER_M, sees_beside
 from sixthsense.navigation.regions import Cells, Nodes, frontier_cells
 from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.viewpoints import mark_tiles
@@ -71,7 +71,7 @@ class MapView:
         """of the robot, in cells"""
         self.frame = _NOWHERE
         """the cells of the masks"""
-        self.spare_m = config.grid.clearance_m - config.safety.buffer_m if sees_beside(radius_m, config) else 0.0
+        self.spare_m = config.grid.clearance_m - BUFFER_M if sees_beside(radius_m, config) else 0.0
         """how much of the clearance the robot gives up in narrow places: it goes where the guard lets it pass"""
         self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
         """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
@@ -90,7 +90,7 @@ class MapView:
         self._space: FreeSpace | None = None
         self._attempts: Counts = np.zeros((0, 0), dtype=np.uint8)
         self._stops: Counts = np.zeros((0, 0), dtype=np.uint8)  # of the guard, on the way to each cell
-        self._tries, self._config = config.explore.tries, config
+        self._config = config
         self._last: Array | None = None  # where the robot was at the latest keyframe
         self._reached = Reached(_NO_CELLS)
         self._make_masks(self.frame)
@@ -249,7 +249,7 @@ class MapView:
         tight.
         """
         covered = self.grid.part("cover", box) > 0
-        driven, stopped = self._driven[part], self._stops[part] >= self._tries
+        driven, stopped = self._driven[part], self._stops[part] >= TRIES
         if self._config.safety.guard:
             return np.asarray((self.grid.inflated(box, -self.spare_m) & ~driven) | (covered & stopped))
         touching = self.grid.inflated(box, -self._config.grid.clearance_m)

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.driving import GOAL_SLACK_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.core.source import Command
@@ -132,7 +133,7 @@ class DriverLimits(NamedTuple):
         robot = config.robot
         patience_s = max(_STUCK_S, 2.0 * math.tau / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
         follow = FollowLimits.of(config)
-        return DriverLimits(float(config.follow.goal_slack_m), patience_s * 10**9, float(robot.turn_rate), follow)
+        return DriverLimits(GOAL_SLACK_M, patience_s * 10**9, float(robot.turn_rate), follow)
 
 
 class GoalDrive(NamedTuple):

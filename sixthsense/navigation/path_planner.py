@@ -20,6 +20,7 @@ from scipy import ndimage
 from scipy.special import ndtri
 
 from sixthsense.config import Config
+from sixthsense.config.driving import GOAL_SLACK_M
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.guard import latency_s, stopping_distance
 from sixthsense.navigation.planners import Plan, Planner
@@ -30,6 +31,10 @@ from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.inflation import giving_way
 
+_PROBABILITY = 0.999
+"""with which a path's margin covers the cross-track error of the position: once in a thousand the guard has to stop"""
+DETOUR = 1.2
+"""a path with a margin may be this many times as long as the shortest: what a way around one obstacle costs"""
 _SHARES = 0.0, 0.125, 0.25, 0.5, 1.0  # of the margin that is wanted, by which a space is made narrower step by step
 
 FreeSpaceFunction = Callable[[float, Array, Ellipse | None], FreeSpace]
@@ -40,7 +45,7 @@ def margin_m(pose_cov: Array, config: Config) -> float:
     """The margin, metres, that a path should keep beyond the inflation for a pose covariance (3, 3)."""
     a, b, c = pose_cov[0, 0], pose_cov[0, 1], pose_cov[1, 1]
     larger = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
-    position_error = float(ndtri(config.safety.probability)) * math.sqrt(max(larger, 0.0))
+    position_error = float(ndtri(_PROBABILITY)) * math.sqrt(max(larger, 0.0))
     braking = stopping_distance(config.robot.speed, latency_s(config), config.robot.deceleration)
     return min(position_error + braking, config.safety.max_margin_m)
 
@@ -162,20 +167,16 @@ class PathPlanner:
             if path is not None:
                 leaving, start = path[:-1], path[-1]
         # A goal just inside the inflation is reached from the nearest free place within the slack.
-        free_goal = space.nearest_free(goal, config.follow.goal_slack_m - config.follow.distance_slack_m)
+        free_goal = space.nearest_free(goal, GOAL_SLACK_M - config.follow.distance_slack_m)
         goal = goal if free_goal is None else free_goal
-        plan, space, kept_m = plan_with_margin(
-            self._astar, map_.free_space, start, goal, map_.margin_m, config.safety.detour
-        )
+        plan, space, kept_m = plan_with_margin(self._astar, map_.free_space, start, goal, map_.margin_m, DETOUR)
         if not plan.found:
             return None
         if self._planner is not None:
             own = self._planner.plan(space, start, goal)
             plan = own if own.found else plan
             self.plans_by_astar = (self.plans_by_astar or 0) + (not own.found)
-        path = plan.path_world
-        if config.follow.shortcut:
-            path = shortcut(space, path)
+        path = shortcut(space, plan.path_world)
         self.plans.append(np.vstack([leaving, plan.path_world]))
         self.plans_below_margin += kept_m < map_.margin_m
         return np.vstack([leaving, path])

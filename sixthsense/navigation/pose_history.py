@@ -12,7 +12,8 @@ from sixthsense.core.geometry import Array, Pose
 
 _WELL_KNOWN = 0.5  # a place is worth a loop closure if sigma there was at most this share of the present one
 _NEXT_LOOP_CLOSURE = 1.5  # growth of sigma before another loop closure is tried
-_MOST_LOOP_CLOSURE = 4.0  # times `loop_closure_sigma_m`: the most that a loop closure may come to need
+LOOP_CLOSURE_SIGMA_M = 0.1  # a position is uncertain above this: it is two cells of the map, and shifts a wall visibly
+_MOST_LOOP_CLOSURE = 4.0  # times this: the most that a loop closure may come to need
 
 
 class PoseHistory:
@@ -23,7 +24,7 @@ class PoseHistory:
         self.sigma_m = 0.0
         """largest standard deviation of the latest position"""
         self._explore = explore
-        self._loop_closure_threshold_m = explore.loop_closure_sigma_m
+        self._loop_closure_threshold_m = LOOP_CLOSURE_SIGMA_M
         self._much_less_m = math.inf
         self.way_m = 0.0
         """driven until the latest position"""
@@ -42,7 +43,7 @@ class PoseHistory:
     @property
     def is_certain(self) -> bool:
         """Whether the position is certain enough to end a loop closure."""
-        return self.sigma_m <= _WELL_KNOWN * self._explore.loop_closure_sigma_m
+        return self.sigma_m <= _WELL_KNOWN * LOOP_CLOSURE_SIGMA_M
 
     @property
     def needs_loop_closure(self) -> bool:
@@ -60,7 +61,7 @@ class PoseHistory:
         Far from where it is certain, a robot that comes back by the same way is about as uncertain as before.
         """
         self._much_less_m = _NEXT_LOOP_CLOSURE * self.sigma_m
-        self._loop_closure_threshold_m = min(self._much_less_m, _MOST_LOOP_CLOSURE * self._explore.loop_closure_sigma_m)
+        self._loop_closure_threshold_m = min(self._much_less_m, _MOST_LOOP_CLOSURE * LOOP_CLOSURE_SIGMA_M)
 
     def well_known_places(self) -> Array:
         """(K, 4) positions with obstacles in reach that were much more certain than the present one.

@@ -20,6 +20,8 @@ from sixthsense.slam.mapping.inflation import too_near
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
+LEAST_AREA_M2 = 0.02
+"""a place counts as left unseen if it is at least this large: eight cells, which noise at edges does not reach"""
 _SMALL_PLACES_FRACTION = 0.003  # of the area seen: small places are listed when together they exceed this
 
 
@@ -58,7 +60,7 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
 
     A line of sight counts if it passes no opaque cell.
     """
-    view, explore = planner.view, planner.config.explore
+    view = planner.view
     unseen = view.unseen
     given_up = unseen & view.given_up()
     for cells in candidates.clusters:
@@ -97,10 +99,10 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
                 gap_m = _gap_m(planner, nearest)
             places.append(UnseenPlace(float(x), float(y), len(cells) * view.cell_m**2, reason, gap_m))
     places.sort(key=lambda place: -place.area_m2)
-    small = sum(place.area_m2 for place in places if place.area_m2 < explore.least_area_m2)
+    small = sum(place.area_m2 for place in places if place.area_m2 < LEAST_AREA_M2)
     if small > _SMALL_PLACES_FRACTION * np.count_nonzero(view.seen) * view.cell_m**2:
         return places
-    return [place for place in places if place.area_m2 >= explore.least_area_m2]
+    return [place for place in places if place.area_m2 >= LEAST_AREA_M2]
 
 
 def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:

@@ -21,6 +21,8 @@ from sixthsense.navigation.views import KnownViews, View, ViewGain
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
 
+IGNORED_AREA_FRACTION = 0.001
+"""of the area seen: small unseen areas, the smallest first, that are together no larger are not worth a way"""
 _TILE_M = 1.0  # longer frontiers are split
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 
@@ -91,16 +93,16 @@ class ViewPlanner:
 
     def candidates(self) -> Candidates:
         """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
-        view, explore = self.view, self.config.explore
+        view = self.view
         wanted = view.wanted
         edge = view.edge[are_beside(wanted, view.edge)]
         edge = edge[in_large_regions(view.free, edge, self.glimpsed_cells(), view.cell(self.pose.position))]
-        dust = explore.dust * np.count_nonzero(view.seen)
-        ignored = smallest_regions(wanted, edge, dust)
+        spare = IGNORED_AREA_FRACTION * np.count_nonzero(view.seen)
+        ignored = smallest_regions(wanted, edge, spare)
         self.known.forget(view.ignore(ignored), view.first)
         edge = edge[are_beside(wanted, edge)]
         first = np.array(view.first)
-        return Candidates(wanted, [cells - first for cells in frontier_clusters(edge + first, self.tile)], dust)
+        return Candidates(wanted, [cells - first for cells in frontier_clusters(edge + first, self.tile)], spare)
 
     def glimpsed_cells(self) -> int:
         """Fewest free cells of a place that counts though it is not connected to the robot's: those of a whole tile.

@@ -17,6 +17,10 @@ from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.front_end import Keyframe
 
+SCALE_SIGMA = 0.03
+"""of the sensor's scale error, as by the size of a barcode. It is not estimated: beside wheels of unknown radius
+nothing tells it, so that it only adds to the covariance."""
+
 
 class SensorCalibration:
     """Corrects observations for their sensor's errors, and reports the uncertainty of its scale, if configured."""
@@ -35,7 +39,7 @@ class SensorCalibration:
             estimator.calibrate(prior)
             self._estimator = estimator
             self._sensor = prior.values
-            self._scale_variance = config.assumed.sensor_scale_sigma**2
+            self._scale_variance = SCALE_SIGMA**2
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The sensor's parameters, if they are estimated."""

@@ -76,7 +76,7 @@ class Slam:
         self._radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M if radius_m is None else radius_m
         self.estimator = make_estimator(config.estimator, self._start, cov, config.isam2)
         self._draws_map = draws_map
-        self._mapper = Mapper(config.grid, self._radius_m, config.safety.body_m)
+        self._mapper = Mapper(config.grid, self._radius_m)
         records = None if prior_map is None else prior_map.fresh_records()
         self.associator = Associator(config.association, records, self._mapper.are_free)
         self._motion = make_motion(config, self.estimator)

@@ -101,7 +101,7 @@ def test_each_command_begins_with_its_base(line: str, settings: Callable[..., Co
     Path("robots").mkdir()
     Path("robots/Robot1_Odometry.dat").touch()
     assert settings(line) == BASES[line]
-    assert settings(line, "--association.cull-period 7") == merge(BASES[line], {"association": {"cull_period": 7}})
+    assert settings(line, "--association.cull-below 7") == merge(BASES[line], {"association": {"cull_below": 7}})
     for name in () if "first" in line else ("default", "report") if line == DRIVE else PRESETS:
         assert settings(line, "--preset", name) == merge(preset(name), REGION if line == DRIVE else {}), name
 

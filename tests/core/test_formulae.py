@@ -64,12 +64,12 @@ def test_a_rotation_of_the_world_moves_points_around_and_turns_walls():
 
 
 def test_priors_have_the_variances_that_are_configured():
-    sigmas = {"scale_sigma": 0.03, "latency_sigma_s": 0.011, "curve_loss_sigma_m_per_rad": 0.013}
+    sigmas = {"latency_sigma_s": 0.011, "curve_loss_sigma_m_per_rad": 0.013}
     assumed = preset(assumed={"wheels": sigmas}).assumed
     wheels = wheel_prior(assumed).cov
     # The forward scale, and the same error of the turn beside one of its own by the track.
-    expected = np.diag([0.0009, 0.0013, 0.0009, 0.000121, 0.000169])
-    expected[0, 1] = expected[1, 0] = 0.0009
+    expected = np.diag([0.0025, 0.0029, 0.0009, 0.000121, 0.000169])
+    expected[0, 1] = expected[1, 0] = 0.0025
     assert wheels == pytest.approx(expected)
     assert wheel_prior(assumed).with_sigmas()[1] == pytest.approx(np.sqrt(np.diag(expected)))
     assert sensor_prior().with_sigmas().tolist() == [[0.0] * 3, pytest.approx([0.03, 0.1, 0.03])]

@@ -208,7 +208,7 @@ BAD = {
     "a goal in a wall": (["--goal", "4", "0.2"], "goal: found (4, 0.2)"),
     "a goal outside the map": (["--goal", "40", "1"], "goal: found (40, 1), outside the region"),
     "an empty region": (["--region", "1", "1", "0", "0"], "region"),
-    "an invalid fraction": (["--explore.dust", "2"], "--explore.dust: found 2"),
+    "an invalid margin": (["--explore.margin-m", "-2"], "--explore.margin-m: found -2"),
     "an unknown method": (["--explore.method", "best"], "--explore.method: found 'best', allowed: frontier, random"),
 }
 

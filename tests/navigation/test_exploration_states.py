@@ -9,7 +9,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration import Exploration, State
-from sixthsense.navigation.exploration_task import ExplorationTask
+from sixthsense.navigation.exploration_task import TRIES, ExplorationTask
 from sixthsense.navigation.path_driver import DriveEvent, Following
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
@@ -296,12 +296,12 @@ def test_a_robot_shut_in_where_the_guard_has_stopped_it_tries_again_on_its_way_h
     stage = shut_in(np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 1.23]], [[4.0, 1.77], [4.0, 3.0]]]))
     exploration, pose = stage.exploration, Pose(6.0, 1.5, 0.0)
     assert exploration.driver.following
-    for _ in range(stage.config.explore.tries):
+    for _ in range(TRIES):
         exploration._view.count_stop(np.array([[3.95, 1.2], [3.95, 1.8]]))
     exploration.driver.stop()
     stage.look(pose)
     assert not exploration.driver.following
-    for _ in range(stage.config.explore.tries):
+    for _ in range(TRIES):
         assert not exploration.handle("turned around", pose) and exploration.driver.following
 
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from sixthsense.cli import DONE, EXIT_CODES, INTERRUPTED
 from sixthsense.config import Config, GridConfig, RobotConfig, merge
+from sixthsense.config.driving import GOAL_SLACK_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
@@ -90,7 +91,7 @@ def test_the_goal_is_reached_and_named() -> None:
     navigator = navigator_to((2.0, 1.0))
     poses = steer(navigator, empty_grid(), Pose(), 30.0)
     assert navigator.outcome == "goal reached"
-    assert math.dist(poses[-1].position, (2.0, 1.0)) <= CONFIG.follow.goal_slack_m
+    assert math.dist(poses[-1].position, (2.0, 1.0)) <= GOAL_SLACK_M
     assert len(navigator.plans) == 1
     assert navigator.step(poses[-1], 0) == Command()
 
@@ -102,7 +103,7 @@ def test_goals_are_visited_in_turn() -> None:
     assert navigator.outcome == "goal reached"
     at = 0
     for goal in goals:
-        near = np.flatnonzero(np.linalg.norm(positions[at:] - goal, axis=1) <= CONFIG.follow.goal_slack_m + 1e-9)
+        near = np.flatnonzero(np.linalg.norm(positions[at:] - goal, axis=1) <= GOAL_SLACK_M + 1e-9)
         assert len(near)
         at += int(near[0])
 
@@ -111,7 +112,7 @@ def test_a_tour_starts_over_and_never_ends() -> None:
     navigator = navigator_to((0.5, 0.0), (0.0, 0.0), config=merge(CONFIG, {"task": "tour", "max_time": 60.0}))
     positions = xy(steer(navigator, empty_grid(), Pose(0.2, 0.0, 0.0), 40.0))
     assert navigator.outcome is None
-    at_first = np.linalg.norm(positions - (0.5, 0.0), axis=1) <= CONFIG.follow.goal_slack_m
+    at_first = np.linalg.norm(positions - (0.5, 0.0), axis=1) <= GOAL_SLACK_M
     assert np.count_nonzero(np.diff(at_first.astype(int)) == 1) >= 3
 
 

@@ -15,7 +15,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.goal_navigator import goal_navigator
-from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
+from sixthsense.navigation.guard import BUFFER_M, Guard, _limits, latency_s, stopping_distance
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
@@ -96,7 +96,7 @@ def test_in_straight_motion_the_disc_stops_before_any_return(
     """The robot continues for the latency under the allowed command, and then brakes."""
     robot, laser = {"deceleration": deceleration}, {"period_ticks": period_ticks}
     config = merge(CONFIG, {"robot": robot, "laser": laser})
-    point = np.array([[RADIUS + config.safety.buffer_m + distance, left]])
+    point = np.array([[RADIUS + BUFFER_M + distance, left]])
     guard, seen = guard_before(point, config)
     allowed = guard.check(Command(speed, 0.0))
     distance_m = stopping_distance(allowed.speed, latency_s(config), deceleration)
@@ -129,9 +129,8 @@ def test_a_robot_may_always_turn_on_the_spot_and_is_counted_once_for_each_stop()
 
 
 OWN = merge(CONFIG, {"robot": {"deceleration": 1.3, "control_period_s": 0.03},
-                     "safety": {"buffer_m": 0.04, "body_m": 0.17, "creep": 0.12},
                      "laser": {"period_ticks": 3, "mount": (0.12, -0.07, 0.3)}})  # fmt: skip
-LATENCY_S, KEPT_M = 4 * 0.03, RADIUS + 0.04
+LATENCY_S, KEPT_M = 4 * 0.03, RADIUS + 0.02
 ARC = Command(0.55, 0.33)
 
 
@@ -171,25 +170,25 @@ def test_a_return_ahead_beside_the_way_slows_to_the_speed_that_stops_before_it()
 
 
 def test_a_return_ahead_slows_to_creep_speed_and_one_behind_does_not_slow() -> None:
-    for bearing, speed in ((1.5, 0.12), (-1.5, 0.12), (1.64, 0.55), (-1.64, 0.55)):
+    for bearing, speed in ((1.5, 0.1), (-1.5, 0.1), (1.64, 0.55), (-1.64, 0.55)):
         guard, away = seen_at(KEPT_M + 0.003, bearing), -math.copysign(0.02, bearing)
         assert guard.check(Command(0.55, away)).speed == pytest.approx(speed) and not guard.stopped
-        assert guard.check(Command(-0.55, -away)).speed == pytest.approx(speed - 0.67) and not guard.stopped
+        assert guard.check(Command(-0.55, -away)).speed == pytest.approx(speed - 0.65) and not guard.stopped
 
 
 def test_a_return_on_the_way_stops_where_creep_speed_would_touch_it() -> None:
     for ratio, is_stopped in ((0.97, True), (1.03, False)):
-        guard = seen_at(*contact_at(ratio * distance_to_stop(0.12)))
+        guard = seen_at(*contact_at(ratio * distance_to_stop(0.1)))
         found = guard.check(ARC)
         assert (guard.stopped, found.turn_rate == ARC.turn_rate) == (is_stopped, is_stopped)
-        assert found.speed == (0.0 if is_stopped else pytest.approx(0.12, rel=0.05))
+        assert found.speed == (0.0 if is_stopped else pytest.approx(0.1, rel=0.05))
         assert guard.check(Command(-ARC.speed, ARC.turn_rate)).speed == -ARC.speed
 
 
 def test_what_moves_is_kept_a_body_away_and_is_waited_for_only_if_it_is_nearest() -> None:
     for moves, ratio in ((True, 1.001), (True, 0.95), (False, 0.95)):
         gap = ratio * distance_to_stop(ARC.speed)
-        found = seen_at(KEPT_M + 0.17 + gap, 0.1, moves).check(ARC).speed
+        found = seen_at(KEPT_M + 0.2 + gap, 0.1, moves).check(ARC).speed
         assert found == pytest.approx(fastest(gap) if moves and ratio < 1.0 else ARC.speed, rel=1e-5)
     for moves, is_stopped in ((True, True), (False, False)):
         guard = seen_at(KEPT_M + 0.16, 0.1, moves)

@@ -10,6 +10,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.navigation.frontier import close_gaps, close_unseen_gaps
 from sixthsense.navigation.gridsearch import far_from
+from sixthsense.navigation.guard import BUFFER_M
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import frontier_cells, spread
 from sixthsense.navigation.tour import TileWays
@@ -95,7 +96,7 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     bounds = inside[0], inside[-1] + 1, across[0], across[-1] + 1
     assert np.array_equal(view.wanted, spread(unknown & in_region, unknown, 10, bounds))
     outside = (x < x0 - 0.3) | (x > x1 + 0.3) | (y < y0 - 0.3) | (y > y1 + 0.3)
-    touched = grid.inflated(frame, CONFIG.safety.buffer_m - CONFIG.grid.clearance_m)
+    touched = grid.inflated(frame, BUFFER_M - CONFIG.grid.clearance_m)
     assert np.array_equal(view.blocked, touched | far_from(seen, 4) | outside)
     assert np.array_equal(view.passable, seen & ~view.blocked)
 

@@ -110,8 +110,8 @@ def dijkstra_costs(blocked: Array, source: tuple[int, int]) -> Array:
 # Small worlds with narrow passages: short steps, and more of them than there are cells.
 VARIANTS = {
     "astar": ("astar", None),
-    "rrtstar": ("rrtstar", RRTStarConfig(informed=False, iterations=2000, range_m=3 * CELL)),
-    "informed-rrtstar": ("rrtstar", RRTStarConfig(informed=True, iterations=2000, range_m=3 * CELL)),
+    "rrtstar": ("rrtstar", RRTStarConfig(informed=False, iterations=2000)),
+    "informed-rrtstar": ("rrtstar", RRTStarConfig(informed=True, iterations=2000)),
 }
 
 

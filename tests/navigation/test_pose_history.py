@@ -8,7 +8,7 @@ from sixthsense.navigation.pose_history import PoseHistory
 
 
 def history(*sigmas_m: float) -> PoseHistory:
-    made = PoseHistory(ExploreConfig(loop_closure_sigma_m=0.1))
+    made = PoseHistory(ExploreConfig())
     for k, sigma_m in enumerate(sigmas_m):
         made.add(Pose(float(k), 0.0, 0.0), np.diag([sigma_m**2, 0.0, 0.0]), True)
     return made

@@ -1,5 +1,6 @@
 import math
 from itertools import pairwise
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from sixthsense.config import RRTStarConfig, preset
 from sixthsense.core.geometry import Array
 from sixthsense.core.random_streams import random_streams
 from sixthsense.loop.run import run
-from sixthsense.navigation.planners import make_planner
+from sixthsense.navigation.planners import make_planner, rrtstar
 from sixthsense.navigation.planners.base import Plan
 from sixthsense.navigation.planners.rrtstar import RRTStar, _FreeMotions, _point_with_free_exit
 from sixthsense.slam.mapping.freespace import FreeSpace
@@ -24,8 +25,9 @@ def box() -> FreeSpace:
     return space_of(blocked)
 
 
-def plan_of(space: FreeSpace, start: Array, goal: Array, seed: int = 0, **config: object) -> Plan:
-    return make_planner("rrtstar", RRTStarConfig(**config), np.random.default_rng(seed)).plan(space, start, goal)
+def plan_of(space: FreeSpace, start: Array, goal: Array, seed: int = 0, range_m: float = 2.0, **config: object) -> Plan:
+    with patch.object(rrtstar, "_RANGE_M", range_m):
+        return make_planner("rrtstar", RRTStarConfig(**config), np.random.default_rng(seed)).plan(space, start, goal)
 
 
 @BOTH
@@ -89,20 +91,21 @@ def test_informed_samples_find_shorter_paths_than_uniform_ones_on_the_same_budge
     assert np.median(costs[:, 0]) < np.median(costs[:, 1])
 
 
-def test_a_fraction_of_the_samples_is_the_goal() -> None:
+def test_a_fraction_of_the_samples_is_the_goal(monkeypatch: pytest.MonkeyPatch) -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
     # Only the goal is sampled, and the box lies before it.
-    assert plan_of(space, start, goal, iterations=3000, goal_bias=1.0).status == "gave up"
-    assert plan_of(space, start, goal, iterations=3000, goal_bias=0.05).found
+    assert plan_of(space, start, goal, iterations=3000).found
+    monkeypatch.setattr(rrtstar, "_GOAL_BIAS", 1.0)
+    assert plan_of(space, start, goal, iterations=3000).status == "gave up"
 
 
 def test_a_sample_extends_the_tree_by_no_more_than_the_range() -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
     # A tree that grows by one cell per sample does not get around the box within the budget.
+    assert any(plan_of(space, start, goal, seed, iterations=60).found for seed in range(20))
     assert plan_of(space, start, goal, iterations=20, range_m=CELL).status == "gave up"
-    assert any(plan_of(space, start, goal, seed, iterations=60, range_m=0.0).found for seed in range(20))
 
 
 def test_a_motion_is_free_when_its_line_is() -> None:

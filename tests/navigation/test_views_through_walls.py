@@ -6,6 +6,7 @@ from scipy import ndimage
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
+from sixthsense.navigation import view_planner
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import frontier_cells
@@ -25,9 +26,7 @@ HERE = 30, 20
 REGION = (0.1, 0.1, 5.9, 2.9)
 
 
-def planner(
-    opening: int, behind: Bools | None = None, tries: int = 0, dust: float = 0.001, screen: bool = False
-) -> ViewPlanner:
+def planner(opening: int, behind: Bools | None = None, tries: int = 0, screen: bool = False) -> ViewPlanner:
     """A seen room to the left of column 60, where a wall has an `opening` of so many cells, and unseen cells behind.
 
     `behind` (H, W) are cells behind the wall that were seen; `tries` how often the unseen ones were looked at;
@@ -42,7 +41,7 @@ def planner(
     seen[3:57, 3:61] = True
     if behind is not None:
         seen |= behind
-    config = preset("default", explore={"dust": dust, "tries": 2}, grid={"cell_m": CELL_M})
+    config = preset("default", grid={"cell_m": CELL_M})
     view = MapView(REGION, RADIUS_M, config)
     view._make_masks(Box(0, 0, *FRAME))
     height, width = SHAPE
@@ -93,11 +92,15 @@ def test_an_opening_is_a_view(opening: int) -> None:
     assert left[0].reason == "gave up" and left[0].x > 60 * CELL_M
 
 
-def test_what_all_views_show_together_is_dust_if_it_is_little_of_what_was_seen() -> None:
+def test_what_all_views_show_together_is_ignored_if_it_is_little(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The unseen region behind the wall is as large as the room before it, which shows a tenth of it."""
-    assert next_target(planner(8, dust=0.03)) is not None
-    assert planner(8, dust=0.5).candidates().clusters
-    assert next_target(planner(8, dust=0.5)) is None
+    monkeypatch.setattr(view_planner, "IGNORED_AREA_FRACTION", 0.03)
+    assert next_target(planner(8)) is not None
+    monkeypatch.setattr(view_planner, "IGNORED_AREA_FRACTION", 0.5)
+    assert planner(8).candidates().clusters
+    assert next_target(planner(8)) is None
 
 
 def test_what_only_a_robot_without_clearance_would_see_is_looked_at_past_the_edge_and_then_left() -> None:

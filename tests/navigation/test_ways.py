@@ -7,6 +7,7 @@ import pytest
 from test_exploration_states import START, Stage, estimate, rectangle
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.navigation.exploration_task import TRIES
 from sixthsense.navigation.gridsearch import Prices, cheapest_way, costs_from
 
 # A door of 0.54 m, which only the clearance closes to a robot of 0.4 m, or none.
@@ -92,7 +93,7 @@ def test_a_gap_before_which_the_guard_stops_is_tried_a_few_times_and_then_closed
     stage = seen_from_both_sides(NARROW)
     view = stage.exploration._view
     across = np.array([[3.95, 1.2], [3.95, 1.8]])
-    for _ in range(stage.config.explore.tries):
+    for _ in range(TRIES):
         assert is_open(stage)
         view.count_stop(across)
     assert not is_open(stage)

@@ -65,9 +65,9 @@ def test_a_collision_ends_the_run_with_that_outcome() -> None:
 
 ELSEWHERE = [
     {"features": {"lines": {"ransac_iterations": 3}}},
-    {"features": {"split": {"enabled": False}, "points": {"corners": False}}},
+    {"features": {"split": {"enabled": False}, "landmarks": "walls"}},
     {"association": {"match_gate": 20.0}, "keyframes": {"distance_m": 0.0, "turn_rad": 0.0}},
-    {"assumed": {"motion": {"speed": 0.5}}, "grid": {"cell_m": 0.1}, "follow": {"shortcut": False}},
+    {"assumed": {"motion": {"speed": 0.5}}, "grid": {"cell_m": 0.1}, "follow": {"distance_slack_m": 0.03}},
 ]
 
 
@@ -88,7 +88,7 @@ def test_what_is_changed_elsewhere_leaves_the_worlds_noise_alone(changes: dict[s
 
 def test_ransacs_draws_do_not_reach_the_world() -> None:
     # No landmark, no update: both robots believe the same and drive the same, whatever RANSAC draws.
-    points = {"corners": False, "ends": False}
+    points = {"max_sigma_m": 1e-9}
     blind = {"features": {"landmarks": "corners", "points": points}, "grid": {"walls": False}}
     config = merge(dataclasses.replace(SHORT, max_time=5.0), blind)
     one, two = (run(merge(config, {"features": {"lines": {"ransac_iterations": n}}})) for n in (1, 50))

@@ -17,6 +17,9 @@ from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.planners.base import Plan, joined_path, plan_with_blocked_end
 from sixthsense.slam.mapping.freespace import TOUCH, FreeSpace, as_point, line_touches
 
+_RANGE_M = 2.0  # longest extension of the tree per draw: about a room's half
+_GOAL_BIAS = 0.05  # share of draws, before there is a path, that are the goal itself; OMPL's default
+
 
 class RRTStar:
     """A short path through arbitrary points, improved for a given number of iterations.
@@ -82,8 +85,8 @@ class RRTStar:
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
         config = self._config
         planner = (geometric.InformedRRTstar if config.informed else geometric.RRTstar)(information)
-        planner.setRange(config.range_m)
-        planner.setGoalBias(config.goal_bias)
+        planner.setRange(_RANGE_M)
+        planner.setGoalBias(_GOAL_BIAS)
         planner.setProblemDefinition(problem)
         planner.setup()
         left = iter(range(config.iterations))

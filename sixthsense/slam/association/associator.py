@@ -34,6 +34,8 @@ from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 AreFree = Callable[[Array, float], Mask]
 """(N,) whether a map shows nothing but free cells around the points (N, 2), world frame, within a distance, m"""
 
+CULL_PERIOD = 25
+"""keyframes between two looks for landmarks to forget: the robot has turned around or left the room"""
 _SIGMAS = 3.0
 """of the pose, within which no obstacle may be where a landmark is gone"""
 _PARTS = 10
@@ -155,7 +157,7 @@ class Associator:
 
         They were seen too rarely, duplicate an older wall, or are of a prior map and no longer there.
         """
-        if self._scan % self._config.cull_period:
+        if self._scan % CULL_PERIOD:
             return []
         culled = self._culled()
         merged = self._merged(estimator, estimate)
@@ -167,7 +169,7 @@ class Associator:
         gone: list[LandmarkId] = []
         for i, landmark, is_wall in zip(estimate.ids.tolist(), estimate.landmarks, estimate.walls, strict=True):
             record = self.records.get(i) if i in self._prior else None
-            if record is None or self._scan - record.last_scan < self._config.cull_period:
+            if record is None or self._scan - record.last_scan < CULL_PERIOD:
                 continue
             places = np.linspace(record.extent[0], record.extent[1], _PARTS + 1) if is_wall else landmark[None]
             if np.mean(self._are_free(places, within_m)) > 0.5:
@@ -182,7 +184,7 @@ class Associator:
         bad = [
             i
             for i, record in self.records.items()
-            if record.observations < config.cull_below and self._scan - record.first_scan >= config.cull_period
+            if record.observations < config.cull_below and self._scan - record.first_scan >= CULL_PERIOD
         ]
         for i in bad:
             del self.records[i]
@@ -199,7 +201,7 @@ class Associator:
         ids, walls = estimate.ids[kept].tolist(), estimate.landmarks[kept]
         records = [self.records[i] for i in ids]
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
-        recent = np.array([self._scan - record.last_scan < self._config.cull_period for record in records], dtype=bool)
+        recent = np.array([self._scan - record.last_scan < CULL_PERIOD for record in records], dtype=bool)
         gone: list[LandmarkId] = []
         for j, k in collinear_pairs(walls, extents, recent, self._config.new_separation_m):
             if ids[j] in gone or ids[k] in gone:

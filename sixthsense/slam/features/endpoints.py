@@ -41,8 +41,6 @@ class RolledScan(NamedTuple):
 class EndpointRules(NamedTuple):
     """When a line's endpoint is a corner or a free end."""
 
-    corners: bool
-    """look for corners"""
     ends: bool
     """look for free ends"""
     max_gap_m: float

@@ -25,6 +25,9 @@ from sixthsense.slam.features.partition import Indices, partition, split_pieces
 
 Mask = NDArray[np.bool_]
 
+_MAX_WALL_SIGMA_RAD = 0.1
+"""of the direction of a wall that is a landmark: six degrees, up to which its linearization holds"""
+
 
 @dataclass(frozen=True, slots=True)
 class Features:
@@ -98,7 +101,6 @@ def _partitioned(scan: Scan, sigma_range: float, config: FeaturesConfig) -> tupl
 def _line_rules(config: FeaturesConfig) -> LineRules:
     lines = config.lines
     return LineRules(
-        lines.ransac,
         lines.ransac_threshold_m,
         lines.ransac_iterations,
         lines.least_squares,
@@ -111,8 +113,7 @@ def _line_rules(config: FeaturesConfig) -> LineRules:
 def _endpoint_rules(scan: Scan, config: FeaturesConfig) -> EndpointRules:
     points = config.points
     return EndpointRules(
-        points.corners,
-        points.ends and config.landmarks != "walls",
+        config.landmarks != "walls",
         points.max_gap_m,
         scan.max_range,
         points.min_points,
@@ -173,7 +174,7 @@ def _wall_observations(
     floors = assumed.wall_floor_rad**2, assumed.landmark_floor_m**2
     z, cov, extents = _walls_from(walls, (mount.x, mount.y, mount.theta), floors)
     for k, own in enumerate(bearings):
-        if walls[k, 2] <= config.walls.max_sigma_rad**2:
+        if walls[k, 2] <= _MAX_WALL_SIGMA_RAD**2:
             extent = float(extents[k, 0]), float(extents[k, 1])
             observations.append(Observation(Kind.WALL, z[k], cov[k], extent, own, _as_shape(walls[k, 7:].tolist())))
     return observations

@@ -89,10 +89,8 @@ def find_points(
     """
     count, spacing = len(lines.fits), mean_spacing(scan.bearings)
     endpoint_type = np.full((count, 2), UNDECIDED, np.int64)
-    if rules.corners:
-        mark_corners(scan, lines, rules, endpoint_type)
-    if rules.ends:
-        mark_free_ends(scan, lines, rules, endpoint_type)
+    mark_corners(scan, lines, rules, endpoint_type)
+    mark_free_ends(scan, lines, rules, endpoint_type)
     sides, of_lines, of_sides = _fit_sides(scan.points, lines, endpoint_type, sigmas)
     kinds = np.empty(2 * count, np.int64)
     found = np.empty((2 * count, 5))
@@ -159,7 +157,7 @@ def find_walls(
 
     A free end takes the last `END_RETURNS` on its side. Its wall takes all others, except those near a corner and, on a
     side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that of
-    its wall. Walls shorter than `_MIN_LENGTH_M` are left out; `rules.corners` is ignored.
+    its wall. Walls shorter than `_MIN_LENGTH_M` are left out.
     Returns (W, 11) alpha, d, aa, ad, dd, the first and last place along the wall that was seen, and its `shape`; (E, 5)
     x, y, xx, xy, yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall
     (W, 2) and of each free end (E, 2).

@@ -19,8 +19,6 @@ _WHOLE = np.zeros((1, 2), np.int64)  # one piece, of all returns
 class LineRules(NamedTuple):
     """When returns make a line, and how it is fitted."""
 
-    ransac: bool
-    """off: a span is fitted as one line"""
     threshold_m: float
     """greatest distance of an inlier from its line"""
     iterations: int
@@ -100,9 +98,6 @@ def _one_line(
     points: Array, free: NDArray[np.bool_], rules: LineRules, sigmas: LaserSigmas, seed: int
 ) -> tuple[Array, Indices]:
     """One line through the free points, as `fit_line` returns it, and the points it was fitted to."""
-    if not rules.ransac:
-        index = np.flatnonzero(free)
-        return fit_line(points, index, sigmas), index
     line = ransac(points, free, rules.threshold_m, rules.iterations, seed)
     c, s = math.cos(line[0]), math.sin(line[0])
     near = np.abs(points[:, 0] * c + points[:, 1] * s - line[1]) <= rules.threshold_m

@@ -17,6 +17,8 @@ from sixthsense.slam.mapping.inflation import disc
 from sixthsense.slam.mapping.submap import Submap, weakened
 
 _NOTHING = np.zeros((0, 2))
+BODY_M = 0.2
+"""kept from what moves besides: the laser sees legs, and a body is wider"""
 SCANS_PER_SUBMAP = 10
 """Keyframes of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
 
@@ -28,9 +30,8 @@ class Mapper:
     its submap is drawn again, and the tiles that it touches are composed of all submaps that touch them.
     """
 
-    def __init__(self, config: GridConfig, radius_m: float, body_m: float = 0.0) -> None:
-        """Begin with an empty grid for a robot that is a disc of `radius_m`; who stands there is `body_m` wide."""
-        self._body_m = body_m
+    def __init__(self, config: GridConfig, radius_m: float) -> None:
+        """Begin with an empty grid for a robot that is a disc of `radius_m`."""
         self.grid = Grid(config, radius_m)
         """the map as it was drawn last"""
         self._config, self._radius_m = config, radius_m
@@ -134,7 +135,7 @@ class Mapper:
     def _let_pass(self, standing_robot: Array) -> None:
         """Block the way through those who stand in the newest keyframe, and no more through those who stood before."""
         if len(standing_robot) or self._has_passing:
-            self.grid.let_pass(Pose.from_array(self._drawn_at[-1]), standing_robot, self._body_m)
+            self.grid.let_pass(Pose.from_array(self._drawn_at[-1]), standing_robot, BODY_M)
         self._has_passing = len(standing_robot) > 0
 
     def _shift(self, poses: Array) -> Array:

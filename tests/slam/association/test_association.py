@@ -7,6 +7,7 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
+from sixthsense.slam.association import associator as associator_module
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.testing.sight import predict_points
@@ -79,8 +80,9 @@ def test_one_scan_that_shows_an_end_twice_makes_one_landmark():
     assert len(associator.associate(twice, estimator).observations) == 1
 
 
-def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
-    config = AssociationConfig(cull_period=5, cull_below=3)
+def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones(monkeypatch):
+    monkeypatch.setattr(associator_module, "CULL_PERIOD", 5)
+    config = AssociationConfig(cull_below=3)
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
     culled = []
     for scan in range(1, 11):
@@ -89,7 +91,8 @@ def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
         culled += [(scan, i) for i in gone]
     assert culled == [(10, 1)]  # at scan 5 it was too young, as the third is at scan 10
     assert associator.culled == 1 and sorted(associator.records) == [0, 2]
-    estimator, off = known(AssociationConfig(cull_below=0, cull_period=1))
+    monkeypatch.setattr(associator_module, "CULL_PERIOD", 1)
+    estimator, off = known(AssociationConfig(cull_below=0))
     assert updated(estimator, off, sight(Pose(), range(5))) == []
 
 

@@ -14,6 +14,7 @@ from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
+from sixthsense.slam.association import associator as associator_module
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.observed import ends, fused
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
@@ -166,8 +167,9 @@ def test_another_piece_of_a_known_wall_is_fused_unless_it_is_offset():
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
 
 
-def test_duplicate_walls_are_merged():
-    config = AssociationConfig(cull_period=2, cull_below=1)
+def test_duplicate_walls_are_merged(monkeypatch):
+    monkeypatch.setattr(associator_module, "CULL_PERIOD", 2)
+    config = AssociationConfig(cull_below=1)
     for offset, gone in ((0.005, [1]), (0.15, [])):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
         # Two pieces with a gap too large for one wall, until an observation of the first reaches the second.

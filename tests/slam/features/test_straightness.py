@@ -138,7 +138,7 @@ def test_the_floor_of_a_walls_direction_leaves_its_middle_as_certain_as_it_was()
     walls = np.array([[(2.0, 1.0), (2.0, 5.0)]])
     variances = []
     for floor in (0.0, 0.05):
-        config = preset(assumed={"wall_floor_rad": floor}, features={"walls": {"max_sigma_rad": 0.2}})
+        config = preset(assumed={"wall_floor_rad": floor})
         (observation,) = walls_observed(walls, config, np.random.default_rng(9))
         middle = 0.5 * sum(observation.extent)
         lever = np.array([-middle, 1.0])
