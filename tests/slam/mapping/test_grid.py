@@ -281,3 +281,26 @@ def test_a_space_extended_to_cover_points_keeps_its_cells_where_they_were() -> N
     assert space.covering(space.centre(2, 3)) is space and space.covering() is space
     empty = Grid(CONFIG, 0.2).free_space((1e5, 1e5), (1e5 + 3.0, 1e5))
     assert empty.contains((1e5, 1e5)) and empty.blocked.size < 1000 and not empty.blocked.any()
+
+
+def test_those_who_stand_block_the_ways_around_them_until_they_stand_elsewhere() -> None:
+    radius_m, body_m, at = 0.23, 0.17, Pose(0.7, -0.4, 0.6)
+    grid, empty = (Grid(CONFIG, radius_m) for _ in range(2))
+    for one in (grid, empty):
+        one.add(at, scan_of_room(at), NO_WALLS)
+    places = [np.array([[-1.3, 0.4], [0.6, 1.1]]), np.array([[1.2, -0.9]])]
+    for standing in places:
+        grid.let_pass(at, standing, body_m)
+    (x, y), free, space = (at @ places[1])[0], empty.free_space(), grid.free_space()
+    half_diagonal_m = math.sqrt(0.5) * CONFIG.cell_m  # of the cells that each of the two discs touches, and of its own
+    for row, col in np.ndindex(free.blocked.shape):
+        centre = free.centre(row, col)
+        distance_m = math.hypot(centre[0] - x, centre[1] - y)
+        if distance_m <= radius_m + body_m:
+            assert space.is_blocked(centre)
+        elif distance_m > radius_m + body_m + 3.0 * half_diagonal_m:
+            assert space.is_blocked(centre) == free.is_blocked(centre)
+    assert np.array_equal(grid.obstacles, empty.obstacles)
+    grid.let_pass(at, np.zeros((0, 2)), body_m)
+    again = grid.free_space()
+    assert all(again.is_blocked(free.centre(*cell)) == free.blocked[cell] for cell in np.ndindex(free.blocked.shape))

@@ -17,6 +17,7 @@ from sixthsense.slam.mapping.tiles import Tiles
 LASER = LaserConfig(beams=120)
 ROOM = box(-3, -2, 6, 4)
 NO_WALLS = np.zeros((0, 2, 2))
+CELL_M = GridConfig().cell_m
 
 RULES = EvidenceRules(min_hits=2, max_hits=10, passes_per_hit=4.0)
 
@@ -274,3 +275,19 @@ def test_submaps_out_of_reach_of_what_moves_are_not_asked_for(monkeypatch: pytes
         assert again.draw().seen.any()
     for name in ("seen", "obstacles"):
         assert np.array_equal(getattr(mapper.draw(), name), getattr(again.draw(), name))
+
+
+def test_nothing_is_left_where_a_submap_was_that_moves_far() -> None:
+    count, far = SCANS_PER_SUBMAP + 3, np.array([43.0, -31.0, 0.7])
+    rows, scan = poses(count + 1) + np.array([0.3, 0.7, 0.2]), seen(poses(1)[0])
+    mapper = Mapper(GridConfig(), 0.23)
+    for k in range(count):
+        mapper.add(k, rows[: k + 1].copy, scan, NO_WALLS)
+        assert mapper.draw().seen.any()
+    moved = rows + far
+    mapper.add(count, moved.copy, scan, NO_WALLS)
+    grid = mapper.draw()
+    row, col = np.nonzero(grid.seen)
+    x, y = grid.origin[0] + CELL_M * col, grid.origin[1] + CELL_M * row
+    reach_m = LASER.max_range + 1.0
+    assert len(x) and np.hypot(x[:, None] - moved[:, 0], y[:, None] - moved[:, 1]).min(axis=1).max() < reach_m
