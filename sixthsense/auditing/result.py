@@ -22,7 +22,7 @@ from sixthsense.figures.overtime import BAND, draw_tube
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH, new_figure
 
 if TYPE_CHECKING:
-    from sixthsense.figures.picture import Picture
+    from sixthsense.core.picture import Picture
 
 _ALIGNED = {
     "none": "none: both are in one frame",

@@ -37,7 +37,7 @@ COMMANDS = {
     "campaign": ("[SCENE ...]", "many runs on many processors, with a table"),
     "report": ("RUN_DIR ...", "figures of runs, or of a campaign"),
     "audit": ("ESTIMATE ...", "is a covariance as large as its errors?"),
-    "scenes": ("", "list the shipped scenes"),
+    "scenes": ("[SCENE]", "list the shipped scenes, or draw one"),
     "completion": ("SHELL", "print a completion script for bash, zsh or fish"),
 }
 """by name, each the name of a module of this package: arguments and purpose, in a line of the usage"""

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from sixthsense.core.picture import Picture
     from sixthsense.evaluation.curves import Over
-    from sixthsense.figures.picture import Picture
 
     OnAxes = Axes | Sequence[Axes] | NDArray[Any]
 

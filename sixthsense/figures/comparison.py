@@ -22,9 +22,9 @@ from sixthsense.record.trace import Trace
 if TYPE_CHECKING:
     import pandas as pd
 
+    from sixthsense.core.picture import Picture
     from sixthsense.evaluation.curves import Over
     from sixthsense.figures.canvas import OnAxes
-    from sixthsense.figures.picture import Picture
 
     By = str | Sequence[str] | None
 

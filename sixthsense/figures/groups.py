@@ -11,12 +11,12 @@ import numpy as np
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
+from sixthsense.core.picture import Picture
 from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, Sample, differences, grouped, resampled
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M, nees_band
 from sixthsense.figures.canvas import WIDTH_IN, Canvas
 from sixthsense.figures.overtime import AXIS_LABELS
-from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, TRUTH
 
 ERRORS = {"position_m": ("position error [m]", 1.0), "heading_rad": ("heading error [°]", float(np.degrees(1.0)))}

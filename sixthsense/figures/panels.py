@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sixthsense.config.errors import InputError
+from sixthsense.core.picture import Picture
 from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, differences, fields_of
 from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, numbered_names
@@ -19,7 +20,6 @@ from sixthsense.figures import groups
 from sixthsense.figures.canvas import WIDTH_IN, Canvas
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
-from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height
 from sixthsense.record.load import RecordPart
 from sixthsense.record.trace import Trace

@@ -17,7 +17,7 @@ from sixthsense.record.trace import Trace
 from sixthsense.sources.walking_space import BODY_M
 
 if TYPE_CHECKING:
-    from sixthsense.figures.picture import Picture
+    from sixthsense.core.picture import Picture
 
 # Okabe and Ito's palette, which colour-blind people can distinguish.
 TRUTH = "#000000"
@@ -235,7 +235,7 @@ def _frame(ax: Any, points: list[Array]) -> None:
 
 def new_figure(width_in: float, height_in: float) -> Picture:
     """An empty figure without window system and global state, unlike pyplot's."""
-    from sixthsense.figures.picture import Picture
+    from sixthsense.core.picture import Picture
 
     return Picture(width_in, height_in)
 
@@ -247,7 +247,7 @@ def save(figure: Any, file: Path | str) -> None:
     """
     from matplotlib import rc_context
 
-    from sixthsense.figures.picture import MARGIN_IN, Picture
+    from sixthsense.core.picture import MARGIN_IN, Picture
 
     file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)

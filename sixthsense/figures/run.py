@@ -9,9 +9,9 @@ from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
+    from sixthsense.core.picture import Picture
     from sixthsense.evaluation.curves import Over
     from sixthsense.figures.canvas import OnAxes
-    from sixthsense.figures.picture import Picture
 
 __all__ = ["Run", "Trace", "load"]
 
