@@ -7,7 +7,7 @@ from harness import Figures
 from repetition_scenes import out_and_back
 
 from sixthsense.config import Config
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command

@@ -113,7 +113,7 @@ def replay(
     relations
         Hand-checked relations between poses, or their file, the reference of the trajectory's error.
     on_tick, progress, out, overwrite, prior_map
-        As of `ss.run`. The robot begins at the log's start, or at `pose`.
+        What they are for `ss.run`. The robot begins at the log's start, or at `pose`.
     topics, odometry_frames, units, robot
         Topics to use from a bag with several of scans or odometry; parent and child of its odometry in /tf; units of a
         log without metres and radians, such as `ranges=mm`; robot to use from an MRCLAM folder.
@@ -123,7 +123,7 @@ def replay(
     Returns
     -------
     Run
-        As of `ss.run`.
+        What `ss.run` returns.
 
     Raises
     ------
@@ -164,19 +164,19 @@ def merge_runs(
     first, second
         Folders of runs with scans of one laser. The second is found in the map of the first by what it has seen.
     relations, on_tick, progress, out, overwrite
-        As of `ss.replay`.
+        What they are for `ss.replay`.
     **fields
         Fields that override the configuration of the first run, as in `ss.replay`.
 
     Returns
     -------
     Run
-        As of `ss.replay`, of a log with the ticks of both runs.
+        What `ss.replay` returns, of a log with the ticks of both runs.
 
     Raises
     ------
     InputError
-        One line each: as of `ss.replay`; two runs with different lasers, or that share no place.
+        One line each: what `ss.replay` raises; two runs with different lasers, or that share no place.
 
     """
     from sixthsense.config import load_config

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from contextlib import redirect_stdout
 from typing import Annotated, Any, Literal, Union
 
-from sixthsense.cli import COMMANDS, main
-from sixthsense.cli.help import command_class, own_options
+from sixthsense.cli import COMMANDS, command_class, main
+from sixthsense.cli.help import usage
+from sixthsense.cli.options import options_of
 from sixthsense.config import PRESETS, Config, Section, preset
 from sixthsense.config.section import field_texts
 from sixthsense.evaluation.results import QUANTITIES
@@ -96,10 +97,11 @@ def command_line() -> str:
     for name in COMMANDS:
         command = command_class(name)
         lines += [f"## {name}", "", inspect.getdoc(command) or "", ""]
-        own = sorted(own_options(command), key=lambda option: option.name in _SHARED)
+        own = [o for o in options_of(command) if o.owner is command and o.name not in command.refused]
+        own.sort(key=lambda option: option.name in _SHARED)
         if own:
             lines += ["| option | meaning |", "| --- | --- |"]
-            lines += [f"| `{_cell(option.usage)}` | {_cell(option.text)} |" for option in own] + [""]
+            lines += [f"| `{_cell(usage(option))}` | {_cell(option.text)} |" for option in own] + [""]
     return "\n".join(lines)
 
 

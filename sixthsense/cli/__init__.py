@@ -8,11 +8,14 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-from sixthsense.cli.help import command_class, help_text, help_topic
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
+
+if TYPE_CHECKING:
+    from sixthsense.cli.options import Options
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 EXIT_CODES = {
@@ -28,19 +31,19 @@ EXIT_CODES = {
 """exit codes of a run's outcomes; every other outcome is a failure of the robot"""
 
 COMMANDS = {
-    "run": ("[SCENE]", "simulate a robot that explores or drives to goals"),
-    "replay": ("LOG", "process a real robot's log with the same code"),
-    "live": ("", "map with a robot on a ROS 2 network, and drive it"),
-    "simulate": ("[SCENE]", "a simulated robot on that network, to test with"),
-    "merge": ("RUN_A RUN_B", "map two runs in one building together"),
-    "calibrate": ("SCENE", "measure the robot's noise, for `run --config`"),
-    "campaign": ("[SCENE ...]", "many runs on many processors, with a table"),
-    "report": ("RUN_DIR ...", "figures of runs, or of a campaign"),
-    "audit": ("ESTIMATE ...", "is a covariance as large as its errors?"),
-    "scenes": ("[SCENE]", "list the shipped scenes, or draw one"),
-    "completion": ("SHELL", "print a completion script for bash, zsh or fish"),
+    "run": ("runs", "[SCENE]", "simulate a robot that explores or drives to goals"),
+    "replay": ("runs", "LOG", "process a real robot's log with the same code"),
+    "live": ("network", "", "map with a robot on a ROS 2 network, and drive it"),
+    "simulate": ("network", "[SCENE]", "a simulated robot on that network, to test with"),
+    "merge": ("runs", "RUN_A RUN_B", "map two runs in one building together"),
+    "calibrate": ("calibrate", "SCENE", "measure the robot's noise, for `run --config`"),
+    "campaign": ("campaign", "[SCENE ...]", "many runs on many processors, with a table"),
+    "report": ("report", "RUN_DIR ...", "figures of runs, or of a campaign"),
+    "audit": ("audit", "ESTIMATE ...", "is a covariance as large as its errors?"),
+    "scenes": ("listing", "[SCENE]", "list the shipped scenes, or draw one"),
+    "completion": ("listing", "SHELL", "print a completion script for bash, zsh or fish"),
 }
-"""by name, each the name of a module of this package: arguments and purpose, in a line of the usage"""
+"""by name: the module of this package that has its class; arguments and purpose, a line of the usage"""
 
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000  # a run makes many objects and hardly a cycle: the default takes 8 % of its time
 
@@ -59,7 +62,7 @@ tells the version. Exit codes: 0 done, 1 robot failed, 2 bad input, 130 Ctrl-C.
 
 def usage() -> str:
     """The text of `sixthsense --help`, a line for each command."""
-    lines = (f"  {f'{name} {arguments}':24}{purpose}" for name, (arguments, purpose) in COMMANDS.items())
+    lines = (f"  {f'{name} {arguments}':24}{purpose}" for name, (_, arguments, purpose) in COMMANDS.items())
     return _USAGE.format(commands="\n".join(lines))
 
 
@@ -85,6 +88,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+def command_class(name: str) -> type[Options]:
+    """The options of a command, with what it does."""
+    found: type[Options] = getattr(import_module(f"sixthsense.cli.{COMMANDS[name][0]}"), name.capitalize())
+    return found
+
+
 def _is_interrupt(error: BaseException | None) -> bool:
     """Whether an error is an interrupt, or follows from one: an interrupted module in C "fails to initialize"."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
@@ -104,12 +113,13 @@ def _run(args: list[str]) -> int:
         if args[0] not in COMMANDS:
             near = nearest(args[0], (*COMMANDS, "--help", "--version"))
             raise InputError("command", f"found {args[0]!r}", ", ".join(COMMANDS), near)
-        command, words = import_module(f"sixthsense.cli.{args[0]}").command, args[1:]
+        from sixthsense.cli.help import help_text, help_topic
+
+        command, words = command_class(args[0]), args[1:]
         if (topic := help_topic(words)) is not None:
-            print(help_text(args[0], topic))
+            print(help_text(args[0], command, topic))
             return DONE
-        code: int = command(words)
-        return code
+        return command.main(words)
     except BrokenPipeError:
         return FAILED
     except InputError as error:

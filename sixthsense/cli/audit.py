@@ -65,35 +65,35 @@ class Audit(Options):
     require: Literal["consistent"] | None = None
     """Exit code 1 unless the verdict is consistent."""
 
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Audit the covariances of a system's poses."""
+        options = Audit(**parse(args, Audit)[0])
+        if not options.estimate:
+            raise InputError("estimate", "found nothing", "a bag, a TUM file or the folder of a run, before `truth`")
+        _check_outputs(options)
+        from sixthsense.auditing.call import audit
 
-def command(args: list[str]) -> int:
-    """Audit the covariances of a system's poses."""
-    options = Audit(**parse(args, Audit)[0])
-    if not options.estimate:
-        raise InputError("estimate", "found nothing", "a bag, a TUM file or the folder of a run, before `truth`")
-    _check_outputs(options)
-    from sixthsense.auditing.call import audit
-
-    found = audit(
-        list(options.estimate),
-        list(options.truth) or None,
-        covariance=list(options.covariance) or None,
-        topic=options.topic,
-        truth_topic=options.truth_topic,
-        truth_frames=options.truth_frames,
-        frame=options.frame,
-        order=options.order,
-        align=options.align,
-        time_offset=options.time_offset,
-    )
-    print(found)
-    if options.json is not None:
-        found.save(options.json)
-        print(f"written: {options.json}")
-    if options.figure is not None:
-        found.plot().savefig(options.figure, dpi=150)
-        print(f"written: {options.figure}")
-    return FAILED if options.require and found.outcome != options.require else DONE
+        found = audit(
+            list(options.estimate),
+            list(options.truth) or None,
+            covariance=list(options.covariance) or None,
+            topic=options.topic,
+            truth_topic=options.truth_topic,
+            truth_frames=options.truth_frames,
+            frame=options.frame,
+            order=options.order,
+            align=options.align,
+            time_offset=options.time_offset,
+        )
+        print(found)
+        if options.json is not None:
+            found.save(options.json)
+            print(f"written: {options.json}")
+        if options.figure is not None:
+            found.plot().savefig(options.figure, dpi=150)
+            print(f"written: {options.figure}")
+        return FAILED if options.require and found.outcome != options.require else DONE
 
 
 def _check_outputs(options: Audit) -> None:

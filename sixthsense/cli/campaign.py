@@ -51,27 +51,27 @@ class Campaign(Options):
     scheduler: Annotated[str | None, arg("ADDRESS")] = None
     """Run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786."""
 
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Make the runs of a campaign that are missing in its folder."""
+        given, table = parse(args, Campaign)
+        options = Campaign(**given)
+        out = _checked_folder(options, table)
+        from sixthsense.campaigns import Execution, complete
+        from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
 
-def command(args: list[str]) -> int:
-    """Make the runs of a campaign that are missing in its folder."""
-    given, table = parse(args, Campaign)
-    options = Campaign(**given)
-    out = _checked_folder(options, table)
-    from sixthsense.campaigns import Execution, complete
-    from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
-
-    file = _read_config_table(options.config, options.preset)
-    axes = {axis: getattr(options, axis) or (file.get(axis, getattr(preset(), axis)),) for axis in AXES}
-    seeds = (seed for text in options.seeds for seed in seed_range(text))
-    campaign = campaign_of(axes, seeds, file, task_of(table), table)
-    runs = plan(campaign)
-    execution = Execution(options.workers, options.scheduler, options.retry_failed, say=announce)
-    interrupted = False
-    try:
-        complete(campaign, runs, out, execution)
-    except KeyboardInterrupt:
-        interrupted = True
-    return _finish(out, set(runs), interrupted)
+        file = _read_config_table(options.config, options.preset)
+        axes = {axis: getattr(options, axis) or (file.get(axis, getattr(preset(), axis)),) for axis in AXES}
+        seeds = (seed for text in options.seeds for seed in seed_range(text))
+        campaign = campaign_of(axes, seeds, file, task_of(table), table)
+        runs = plan(campaign)
+        execution = Execution(options.workers, options.scheduler, options.retry_failed, say=announce)
+        interrupted = False
+        try:
+            complete(campaign, runs, out, execution)
+        except KeyboardInterrupt:
+            interrupted = True
+        return _finish(out, set(runs), interrupted)
 
 
 def _finish(out: Path, requested: set[str], interrupted: bool) -> int:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from sixthsense.cli import EXIT_CODES, FAILED
-from sixthsense.cli.options import OptionalValue, Options, Table, arg, as_options, parse, positional, positional_of
+from sixthsense.cli.options import OptionalValue, Options, Table, arg, as_options, options_of, parse, positional
 from sixthsense.config import Config, load_config, merge, preset, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
@@ -108,7 +108,8 @@ def parse_command(
     its field.
     """
     given, table = parse(args, command)
-    start = command.base if base is None else base(given.get(positional_of(command)))
+    argument = next((option.name for option in options_of(command) if option.is_positional), "")
+    start = command.base if base is None else base(given.get(argument))
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
     if "config" in given:
         named = read_table(given["config"]).get("preset")

@@ -49,43 +49,43 @@ class Report(Options):
     )
     """Film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif beside the figures."""
 
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Draw the figures of runs."""
+        given, _ = parse(args, Report)
+        options = Report(**given)
+        folders, out = options.run, options.out
+        if not folders:
+            raise InputError("run", "found nothing", "folders of runs, or of a campaign")
+        if out is not None and out.exists() and not options.overwrite:
+            raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
+        from sixthsense.evaluation.measured_run import check_folders
+        from sixthsense.figures.animation import check_film
+        from sixthsense.figures.report import Form, compact, report
+        from sixthsense.figures.run import load
 
-def command(args: list[str]) -> int:
-    """Draw the figures of runs."""
-    given, _ = parse(args, Report)
-    options = Report(**given)
-    folders, out = options.run, options.out
-    if not folders:
-        raise InputError("run", "found nothing", "folders of runs, or of a campaign")
-    if out is not None and out.exists() and not options.overwrite:
-        raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
-    from sixthsense.evaluation.measured_run import check_folders
-    from sixthsense.figures.animation import check_film
-    from sixthsense.figures.report import Form, compact, report
-    from sixthsense.figures.run import load
-
-    form: Form = checked("--figures", Form, options.figures)
-    if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
-        return _report_campaign(options, "animate" in given, form)
-    if "animate" in given:
-        check_film(_FILM if options.animate is None else options.animate)
-        if len(folders) > 1:
-            raise InputError("animate", f"found {len(folders)} runs", "one run")
-    check_folders(folders, "the folder of a run or of a campaign")
-    runs = [load(folder) for folder in folders]
-    if out is None:
-        out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
-    files = report(runs, out, form)
-    print(compact(runs))
-    for run in runs:
-        for part in run.missing:
-            announce(f"note: {run.folder}: found no record of {part}")
-    print(f"written to {out}/: {', '.join(file.name for file in files)}")
-    if "animate" in given:
-        file = out / _FILM if options.animate is None else Path(options.animate)
-        _animate(runs[0], folders[0], file)
-        print(f"written: {file}")
-    return DONE
+        form: Form = checked("figures", Form, options.figures)
+        if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
+            return _report_campaign(options, "animate" in given, form)
+        if "animate" in given:
+            check_film(_FILM if options.animate is None else options.animate)
+            if len(folders) > 1:
+                raise InputError("animate", f"found {len(folders)} runs", "one run")
+        check_folders(folders, "the folder of a run or of a campaign")
+        runs = [load(folder) for folder in folders]
+        if out is None:
+            out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
+        files = report(runs, out, form)
+        print(compact(runs))
+        for run in runs:
+            for part in run.missing:
+                announce(f"note: {run.folder}: found no record of {part}")
+        print(f"written to {out}/: {', '.join(file.name for file in files)}")
+        if "animate" in given:
+            file = out / _FILM if options.animate is None else Path(options.animate)
+            _animate(runs[0], folders[0], file)
+            print(f"written: {file}")
+        return DONE
 
 
 def _report_campaign(options: Report, is_animated: bool, form: Form) -> int:

@@ -9,22 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypedDict
 
-from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
-from sixthsense.config.pipeline import (
+from sixthsense.config.sections import (
     AssociationConfig,
+    AssumedConfig,
+    ExploreConfig,
     FeaturesConfig,
+    FollowConfig,
     GridConfig,
     ISAM2Config,
     KeyframeConfig,
+    LaserConfig,
+    RobotConfig,
+    RRTStarConfig,
+    SafetyConfig,
     ScansConfig,
+    WorldConfig,
 )
-from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
 
 Table = Mapping[str, Any]
 
 
 class _EstimateFields(TypedDict, total=False):
-    """Of the estimate alone: every call takes them."""
+    """Fields of the estimate alone, which every call takes."""
 
     front_end: Literal["landmarks", "scan-matching"]
     calibrate_wheels: bool
@@ -44,7 +50,7 @@ class _EstimateFields(TypedDict, total=False):
 
 
 class _WorldFields(_EstimateFields, total=False):
-    """And of a robot that is simulated or driven."""
+    """Fields of a robot that is simulated or driven as well."""
 
     task: Literal["explore", "goal", "tour"]
     goal: Sequence[float] | None
@@ -60,7 +66,7 @@ class _WorldFields(_EstimateFields, total=False):
 
 
 class Fields(_WorldFields, total=False):
-    """Of `ss.preset`: the whole configuration."""
+    """Fields of `ss.preset`: the whole configuration."""
 
     scene: str
     preset: str
@@ -78,7 +84,7 @@ class _PriorMapFields(TypedDict, total=False):
 
 
 class RunFields(_WorldFields, _PriorMapFields, total=False):
-    """Of `ss.run`."""
+    """Fields of `ss.run`."""
 
     preset: str
     estimator: str | Callable[..., Any]
@@ -87,20 +93,20 @@ class RunFields(_WorldFields, _PriorMapFields, total=False):
 
 
 class MergeFields(_EstimateFields, total=False):
-    """Of `ss.merge_runs`."""
+    """Fields of `ss.merge_runs`."""
 
     estimator: str | Callable[..., Any]
     seed: int
 
 
 class ReplayFields(MergeFields, _PriorMapFields, total=False):
-    """Of `ss.replay`."""
+    """Fields of `ss.replay`."""
 
     preset: str
 
 
 class CampaignFields(_WorldFields, total=False):
-    """Of `ss.campaign`: one value or several of what it compares."""
+    """Fields of `ss.campaign`: one value or several of what it compares."""
 
     estimator: str | Sequence[str]
     preset: str | Sequence[str]

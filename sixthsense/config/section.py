@@ -124,7 +124,7 @@ class Section:
         return same
 
     def __post_init__(self) -> None:
-        for name, hint in _hints(type(self)).items():
+        for name, hint in hints_of(type(self)).items():
             object.__setattr__(self, name, checked(name, hint, getattr(self, name)))
 
     def with_implied(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -132,7 +132,8 @@ class Section:
         return table
 
 
-def _hints(cls: type) -> dict[str, Any]:
+def hints_of(cls: type) -> dict[str, Any]:
+    """The annotated types of a class's fields, by name."""
     if cls not in _known_hints:
         _known_hints[cls] = typing.get_type_hints(cls, include_extras=True)
     return _known_hints[cls]
@@ -211,7 +212,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
             changes[name] = merge(current, value, f"{path}{name}.")
         else:
             try:
-                changes[name] = checked(name, _hints(type(base))[name], value)
+                changes[name] = checked(name, hints_of(type(base))[name], value)
             except InputError as error:
                 raise error.at(f"{path}{error.where}") from None
     try:

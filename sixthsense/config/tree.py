@@ -6,19 +6,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
 from sixthsense.config.errors import InputError
 from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
-from sixthsense.config.pipeline import (
+from sixthsense.config.section import Count, Range, Section, shown
+from sixthsense.config.sections import (
     AssociationConfig,
+    AssumedConfig,
+    ExploreConfig,
     FeaturesConfig,
+    FollowConfig,
     GridConfig,
     ISAM2Config,
     KeyframeConfig,
+    LaserConfig,
+    RobotConfig,
+    RRTStarConfig,
+    SafetyConfig,
     ScansConfig,
+    WorldConfig,
 )
-from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
-from sixthsense.config.section import Count, Range, Section, shown
 
 
 @dataclass(frozen=True)

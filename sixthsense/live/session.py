@@ -13,8 +13,8 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.section import shown, shown_name
+from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan

@@ -11,7 +11,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.random_streams import random_streams

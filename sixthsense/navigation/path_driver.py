@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.config.driving import GOAL_SLACK_M
+from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.core.source import Command

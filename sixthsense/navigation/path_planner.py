@@ -20,7 +20,7 @@ from scipy import ndimage
 from scipy.special import ndtri
 
 from sixthsense.config import Config
-from sixthsense.config.driving import GOAL_SLACK_M
+from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.guard import latency_s, stopping_distance
 from sixthsense.navigation.planners import Plan, Planner

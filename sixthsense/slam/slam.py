@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.names import KEEP_POSES
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan

@@ -17,7 +17,7 @@ import numpy as np
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import parse_toml
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene_files import (
     Point,

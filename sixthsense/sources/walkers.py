@@ -239,7 +239,7 @@ _NOWHERE = np.zeros((0, 2))
 
 
 def walkers_of(scene: Scene, config: Config, start: Pose, radius_m: float) -> Walkers | None:
-    """The people in a building, as of `Walkers`; None without any."""
+    """The people in a building; None without any."""
     if not scene.walkers and not config.world.walkers:
         return None
     return Walkers(scene, config.world, start, radius_m, random_streams(config.seed).walkers)

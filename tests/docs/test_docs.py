@@ -12,7 +12,7 @@ import matplotlib
 import pytest
 
 import sixthsense as ss
-from sixthsense.cli.options import config_flags
+from sixthsense.cli.options import of_section
 from sixthsense.config import Section
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -73,7 +73,7 @@ def test_every_field_of_the_configuration_has_a_row_with_its_meaning():
 
 
 def test_every_field_that_a_page_names_as_an_option_exists():
-    flags = {flag for flag, _ in config_flags(ss.Config)}
+    flags = {option.flag for option in of_section(ss.Config())}
     sections = {flag.rpartition(".")[0] for flag in flags}
     pages = [DOCS.parent / "README.md", *DOCS.rglob("*.md")]
     named = {

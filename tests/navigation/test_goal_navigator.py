@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from sixthsense.cli import DONE, EXIT_CODES, INTERRUPTED
 from sixthsense.config import Config, GridConfig, RobotConfig, merge
-from sixthsense.config.driving import GOAL_SLACK_M
+from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4

@@ -12,7 +12,7 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.config.platform import LaserNoise
+from sixthsense.config.sections import LaserNoise
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.pipeline import ScansConfig
+from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.front_end import LoopClosureCounts

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.pipeline import ScansConfig
+from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.appearance import appearance

@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.config.errors import InputError
-from sixthsense.config.platform import LaserNoise
+from sixthsense.config.sections import LaserNoise
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, cell_box, grown_box

@@ -1,0 +1,150 @@
+"""`sixthsense live` and `simulate`, which join a ROS 2 network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from sixthsense.cli import EXIT_CODES, FAILED
+from sixthsense.cli.common import OfScene, WithPriorMap, announce, live_view, parse_command, run_folder, show_end
+from sixthsense.cli.options import Options, arg
+from sixthsense.config import Config, Range, merge, preset
+from sixthsense.config.errors import InputError
+from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment, is_configured_by_user
+
+
+@dataclass(frozen=True)
+class OnNetwork(Options):
+    """Options of the commands that join a ROS 2 network."""
+
+    domain: Annotated[int | None, arg("N")] = None
+    """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
+    interface: Annotated[str | None, arg("NAME[,..]")] = None
+    """Interfaces, or their addresses, to join. By default that of this machine alone."""
+    peers: Annotated[str | None, arg("ADDRESS[,..]")] = None
+    """Hosts of the robot, for networks without multicast."""
+
+    def network(self) -> Network:
+        """The network to join; InputError for what is not allowed, and for a missing Cyclone DDS."""
+        domain = domain_of_environment() if self.domain is None else self.domain
+        stated = {"interface": self.interface, "peers": self.peers}
+        if is_configured := is_configured_by_user():
+            for option, value in stated.items():
+                if value is not None:
+                    raise InputError(option, "found with CYCLONEDDS_URI", "one of the two")
+            announce("the network is joined as CYCLONEDDS_URI says")
+        interfaces, peers = (tuple(value.split(",")) if value else () for value in stated.values())
+        network = Network(domain, interfaces or (LOOPBACK,), peers, is_configured)
+        check_installed()
+        return network
+
+
+@dataclass(frozen=True)
+class Live(OnNetwork, WithPriorMap):
+    """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
+
+    base: ClassVar[str] = "log"
+    refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map_unknown", "world", "lost")
+
+    scan: Annotated[str, arg("TOPIC")] = "/scan"
+    """Topic of the laser. Messages sensor_msgs/LaserScan."""
+    odom: Annotated[str, arg("TOPIC")] = "/odom"
+    """Topic of the wheels' odometry. Messages nav_msgs/Odometry."""
+    odometry_frames: Annotated[str | None, arg("P,C")] = None
+    """Take odometry from /tf, such as odom,base_link. Its publisher sends the transform between the two."""
+    drive: bool = False
+    """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
+    cmd_vel: Annotated[str, arg("TOPIC")] = "/cmd_vel"
+    """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
+
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Run SLAM on a robot."""
+        drives = any(word.partition("=")[0] == "--drive" for word in args)
+        options, flags = parse_command(Live, args, lambda _: _base(drives))
+        for name in Live.refused:
+            if name in flags or (name == "lost" and options.lost):
+                raise InputError(name, "found on a robot", "with run")
+        network = options.network()
+        from sixthsense.api import with_task
+        from sixthsense.live.session import Session, Topics, check_drive
+        from sixthsense.running.runs import RunHooks, run_live
+        from sixthsense.running.warmup import prepare
+        from sixthsense.sources.logs.transforms import frame_pair
+        from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
+
+        frames = frame_pair(options.odometry_frames.split(",") if options.odometry_frames else ())
+        topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
+        config = with_task(options.settings, flags)
+        if options.drive:
+            if config.no_odometry:
+                raise InputError("no_odometry", "found with `drive`", "without it")
+            check_drive(config)
+        if config.no_odometry:
+            announce(WITHOUT_ODOMETRY)
+        for name in flags.get("laser", {}):
+            if name not in ("mount", "max_range"):
+                raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
+        prior = options.prior_start()
+        prepare(announce, config, of_log=not options.drive)
+        with Session(network, topics, config, announce) as session:
+            session.configure(options.drive)
+            config = session.config
+            source = {"scan": topics.scan, "odom": topics.odom}
+            if frames is not None:
+                source["odometry_frames"] = ",".join(frames)
+            with (
+                run_folder(options, config, f"live-{config.estimator}", source, prior) as folder,
+                live_view(options) as hooks,
+            ):
+                run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
+                for line in session.notices.summary():
+                    announce(line)
+                return show_end(run, options.verbose)
+
+
+def _base(drive: bool) -> Config:
+    """The preset of real robots; with landmarks in a filter where the robot is driven, which answers sooner."""
+    changes = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
+    return merge(preset("log"), changes if drive else {})
+
+
+@dataclass(frozen=True)
+class Simulate(OnNetwork, OfScene):
+    """Simulate a robot on a ROS 2 network, in real time: it sends /scan and /odom, and is driven by /cmd_vel.
+
+    With --task, --goal or --tour it drives by itself, and ignores commands.
+    """
+
+    timeout: Annotated[float, Range(0.0, 60.0), arg("S")] = 0.3
+    """A command moves the robot for at most this long, s."""
+    truth: Annotated[Path | None, arg("FILE")] = None
+    """Write the true trajectory. TUM format, with the stamps of the messages."""
+
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Simulate a robot."""
+        options, flags = parse_command(Simulate, args)
+        config = options.settings_of_scene(flags)
+        network = options.network()
+        from sixthsense.api import with_task
+        from sixthsense.live.reading import TWIST
+        from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
+        from sixthsense.running.runs import RunHooks, simulate
+        from sixthsense.running.warmup import prepare
+        from sixthsense.sources.mission import mission_of
+
+        drives_itself = bool({"task", "goal", "tour"} & set(flags))
+        config, task = mission_of(with_task(config, flags))
+        with SimulatedRobot(network, config, None if drives_itself else TWIST) as robot:
+            prepare(announce)
+            robot.begin(options.truth)
+            announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
+            if drives_itself:
+                outcome = simulate(config, task, None, RunHooks((robot.on_tick,), False, realtime=True)).outcome
+            else:
+                outcome = drive_by_commands(robot, config, task, options.timeout)
+        print(f"collisions: {int(outcome == 'collided')}")
+        print(robot.summary())
+        return EXIT_CODES.get(outcome, FAILED)

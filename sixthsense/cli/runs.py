@@ -1,0 +1,152 @@
+"""`sixthsense run`, `replay` and `merge`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from sixthsense.cli.common import (
+    Common,
+    OfScene,
+    WithPriorMap,
+    announce,
+    live_view,
+    parse_command,
+    run_folder,
+    show_end,
+)
+from sixthsense.cli.options import arg, positional
+from sixthsense.config import Config, is_of_replay
+from sixthsense.config.errors import InputError
+from sixthsense.config.names import OF_THE_ROBOT
+
+
+@dataclass(frozen=True)
+class Run(WithPriorMap, OfScene):
+    """Simulate a robot in a scene unknown to it: it explores the scene, or drives to goals."""
+
+    realtime: bool = False
+    """Slow the simulation down to real time."""
+
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Simulate a scene."""
+        options, flags = parse_command(Run, args)
+        if options.config is not None and is_of_replay(options.config):
+            raise InputError("config", f"{options.config} is of a replay", "sixthsense replay LOG `config` FILE")
+        config = options.settings_of_scene(flags)
+        from sixthsense.api import with_task
+        from sixthsense.running.runs import RunHooks, simulate
+        from sixthsense.sources.mission import mission_of
+
+        prior = options.prior_start()
+        config, task = mission_of(with_task(config, flags))
+        for note in task.scene.notes:
+            announce(f"note: {task.scene.name}: {note}")
+        with (
+            run_folder(options, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
+            live_view(options) as hooks,
+        ):
+            watch = RunHooks(hooks, realtime=options.realtime, say=announce)
+            return show_end(simulate(config, task, folder, watch, prior), options.verbose)
+
+
+@dataclass(frozen=True)
+class Replay(WithPriorMap):
+    """Process a recorded log.
+
+    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or ROS 2 bag;
+    the folder of a run; an MRCLAM folder.
+    """
+
+    base: ClassVar[str] = "log"
+    refused: ClassVar[tuple[str, ...]] = OF_THE_ROBOT
+
+    log: Annotated[str | None, positional("LOG")] = None
+    """The log."""
+    relations: Annotated[Path | None, arg("FILE")] = None
+    """Hand-checked relations between poses, to measure errors. They are those of Kuemmerle et al. 2009."""
+    topics: Annotated[str | None, arg("NAME[,NAME]")] = None
+    """Topics to use from a bag with several topics of scans or odometry."""
+    odometry_frames: Annotated[str | None, arg("P,C")] = None
+    """Frames of odometry in /tf, such as odom,base_link. Without a topic of odometry they are found."""
+    units: Annotated[str | None, arg("WHAT=UNIT")] = None
+    """Units of a log without metres and radians: ranges=mm,odometry=cm,angles=degrees,headings=degrees."""
+    robot: Annotated[int | None, arg("N")] = None
+    """Robot to use from an MRCLAM folder with several."""
+
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Replay a log."""
+        from sixthsense.sources.replay_input import LogSelection, base_of, check_options, check_out, open_recorded
+
+        options, flags = parse_command(Replay, args, base_of)
+        given = options.topics, options.odometry_frames, options.units
+        topics, frames, units = (tuple(words.split(",")) if words else () for words in given)
+        chosen = LogSelection(topics, options.robot, frames, units)
+        check_options(options.log, flags, chosen)
+        if options.log is None:
+            raise InputError(
+                "log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
+            )
+        check_out(options.log, options.out)
+        from sixthsense.running.runs import RunHooks, replay_log
+
+        prior = options.prior_start()
+        found = open_recorded(options.log, options.settings, options.relations, chosen)
+        for note in found.notes:
+            announce(f"note: {found.name}: {note}")
+        stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
+        with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
+            return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), options.verbose)
+
+
+@dataclass(frozen=True)
+class Merge(Common):
+    """Map two runs in one building together: scans of both are aligned, in the frame of the first.
+
+    The second run is found in the map of the first by what it has seen. The result is the folder of a run.
+    """
+
+    base: ClassVar[str] = "log"
+    refused: ClassVar[tuple[str, ...]] = OF_THE_ROBOT
+
+    runs: Annotated[tuple[str, ...], positional("RUN_A RUN_B")] = ()
+    """The folders of the two runs."""
+    relations: Annotated[Path | None, arg("FILE")] = None
+    """Hand-checked relations between poses, the reference of the trajectory's error."""
+
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """Merge two runs."""
+        from sixthsense.sources.replay_input import LogSelection, check_options, check_out
+
+        options, flags = parse_command(Merge, args, _base)
+        first, second = options.runs
+        check_options(first, flags, LogSelection())
+        for run in options.runs:
+            check_out(run, options.out)
+        from sixthsense.running.merging import open_merged, replay_merged
+        from sixthsense.running.runs import RunHooks
+
+        announce(f"looking for {second} in the map of {first}")
+        merged = open_merged(Path(first), Path(second), options.settings, options.relations)
+        for note in merged.notes:
+            announce(f"note: {note}")
+        with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
+            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), options.verbose)
+
+
+def _base(runs: tuple[str, ...] | None) -> str | Config:
+    """The configuration of the first run; InputError for other than two, InputError for what is no folder of a run."""
+    from sixthsense.sources.logs import is_run_folder
+    from sixthsense.sources.replay_input import base_of
+
+    if runs is None or len(runs) != 2:
+        raise InputError("runs", f"found {' '.join(runs or ()) or 'nothing'}", "the folders of two runs")
+    for run in runs:
+        if not is_run_folder(Path(run)):
+            found = "no config.toml in it" if Path(run).is_dir() else "no such folder"
+            raise InputError(run, f"found {found}", "the folder of a run")
+    return base_of(runs[0])
