@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numba
 import numpy as np
 from scipy.special import gammaincinv
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import Array, eigen
 
 
 def chi_square_quantile(probability: float, dof: Any) -> Any:
@@ -35,11 +34,11 @@ def root_information(cov: Array) -> Array:
 
 def check_covariance(name: str, value: Array) -> Array:
     """The (3, 3) covariance of a pose or a motion as float64; ValueError naming it if it is invalid."""
-    cov = np.asarray(value, dtype=np.float64)
+    cov = np.ascontiguousarray(value, dtype=np.float64)
     if cov.shape != (3, 3):
         raise ValueError(f"{name}: expected shape (3, 3), got {cov.shape}")
-    fault = covariance_fault(cov, lowest=-COVARIANCE_SLACK)
-    if fault:
+    if not are_covariances(cov[None]):
+        fault = covariance_fault(cov, lowest=-COVARIANCE_SLACK)
         raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, no eigenvalue below 0")
     return cov
 
@@ -60,13 +59,17 @@ def _extremes(cov: Array) -> tuple[float, float, float]:
     return np.abs(cov - cov.T).max(), np.abs(cov).max(), np.linalg.eigvalsh(cov)[0]
 
 
-def are_covariances(values: Sequence[Array]) -> bool:
-    """Whether all are valid (3, 3) covariances, by one call for all; `check_covariance` says what is wrong with one."""
-    if not values or any(np.shape(value) != (3, 3) for value in values):
-        return False
-    covs = np.array(values, dtype=np.float64)
-    if not np.isfinite(covs).all():
-        return False
-    slack = COVARIANCE_SLACK * np.abs(covs).max(axis=(1, 2))
-    is_symmetric = np.abs(covs - covs.transpose(0, 2, 1)).max(axis=(1, 2)) <= slack
-    return bool((is_symmetric & (np.linalg.eigvalsh(covs)[:, 0] >= -slack)).all())
+@numba.njit(cache=True, error_model="numpy")
+def are_covariances(covs: Array) -> bool:
+    """Whether all (m, 3, 3) are valid covariances; `check_covariance` says what is wrong with one."""
+    for cov in covs:
+        scale = 0.0
+        for i in range(3):
+            for j in range(3):
+                if not np.isfinite(cov[i, j]):
+                    return False
+                scale = max(scale, abs(cov[i, j]))
+        off = max(abs(cov[0, 1] - cov[1, 0]), abs(cov[0, 2] - cov[2, 0]), abs(cov[1, 2] - cov[2, 1]))
+        if off > COVARIANCE_SLACK * scale or eigen(cov)[0][0] < -COVARIANCE_SLACK * scale:
+            return False
+    return True

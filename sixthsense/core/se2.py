@@ -27,6 +27,12 @@ def wrapped(angle: float) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
+def triple(row: Array) -> Triple:
+    """The pose in a row (3,)."""
+    return row[0], row[1], row[2]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def composed(a: Triple, b: Triple) -> Triple:
     """`T_a_c` of `T_a_b` and `T_b_c`."""
     c, s = math.cos(a[2]), math.sin(a[2])
@@ -48,21 +54,26 @@ def relative(a: Triple, b: Triple) -> Triple:
     return c * dx + s * dy, c * dy - s * dx, wrapped(b[2] - a[2])
 
 
+@numba.njit(cache=True, error_model="numpy")
+def seen_from(T_a_b: Triple, motion: Triple) -> Triple:
+    """The motion of frame a, where b is fixed to a at `T_a_b` and `motion` is that of b: `T_a_b @ motion @ T_b_a`."""
+    return composed(composed(T_a_b, motion), inverted(T_a_b))
+
+
 def compose(a: Array, b: Array) -> Array:
     """`T_a_c` of `T_a_b` and `T_b_c`, (3,) or (N, 3) each; (3,) if both are."""
-    return _by_rows(_composed_rows, a, b)
+    return _by_rows(a, b, False)
 
 
 def between(a: Array, b: Array) -> Array:
     """`T_a_b` of `T_w_a` and `T_w_b`, (3,) or (N, 3) each; (3,) if both are."""
-    return _by_rows(_relative_rows, a, b)
+    return _by_rows(a, b, True)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def inverse(pose: Array) -> Array:
     """(3,) `T_b_a` of `T_a_b` (3,)."""
-    x, y, theta = inverted((pose[0], pose[1], pose[2]))
-    return np.array([x, y, theta])
+    return np.array(inverted(triple(pose)))
 
 
 def move_points(poses: Array, points: Array) -> Array:
@@ -72,34 +83,22 @@ def move_points(poses: Array, points: Array) -> Array:
     return np.stack([poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y], axis=-1)
 
 
-def _by_rows(kernel: numba.core.dispatcher.Dispatcher, a: Array, b: Array) -> Array:
+def _by_rows(a: Array, b: Array, is_relative: bool) -> Array:
     # Contiguous, so that there is one compiled form.
     a, b = np.ascontiguousarray(a, dtype=np.float64), np.ascontiguousarray(b, dtype=np.float64)
-    found = kernel(a.reshape(-1, 3), b.reshape(-1, 3))
+    found = _rows(a.reshape(-1, 3), b.reshape(-1, 3), is_relative)
     return np.asarray(found[0] if a.ndim == b.ndim == 1 else found)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _composed_rows(a: Array, b: Array) -> Array:
-    """(N, 3) of rows (N, 3); a single row stands for all."""
+def _rows(a: Array, b: Array, is_relative: bool) -> Array:
+    """(N, 3) composed, or relative, of rows (N, 3); a single row stands for all."""
     n = len(b) if len(a) == 1 else len(a)
     out = np.empty((n, 3))
     for k in range(n):
         i, j = k if len(a) > 1 else 0, k if len(b) > 1 else 0
-        first, second = (a[i, 0], a[i, 1], a[i, 2]), (b[j, 0], b[j, 1], b[j, 2])
-        out[k, 0], out[k, 1], out[k, 2] = composed(first, second)
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _relative_rows(a: Array, b: Array) -> Array:
-    """(N, 3) of rows (N, 3); a single row stands for all."""
-    n = len(b) if len(a) == 1 else len(a)
-    out = np.empty((n, 3))
-    for k in range(n):
-        i, j = k if len(a) > 1 else 0, k if len(b) > 1 else 0
-        first, second = (a[i, 0], a[i, 1], a[i, 2]), (b[j, 0], b[j, 1], b[j, 2])
-        out[k, 0], out[k, 1], out[k, 2] = relative(first, second)
+        first, second = triple(a[i]), triple(b[j])
+        out[k, 0], out[k, 1], out[k, 2] = relative(first, second) if is_relative else composed(first, second)
     return out
 
 
@@ -135,3 +134,126 @@ def turned_covariance(cov: Array, angle: float) -> Array:
     """(3, 3) symmetric: a covariance in axes turned by an angle."""
     turned = transformed_covariance(cov, math.cos(angle), math.sin(angle), 0.0, 0.0)
     return 0.5 * (turned + turned.T)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def seen_covariance(T_a_b: Triple, motion: Triple, cov: Array) -> Array:
+    """(3, 3) of the motion `seen_from` a, of that of the motion of b; each in the axes before the motion."""
+    T_b_a, heading = inverted(T_a_b), T_a_b[2] + motion[2]
+    c, s = math.cos(heading), math.sin(heading)
+    # What the motion's turn moves: a, as seen from b, in the axes before the motion.
+    lever_x, lever_y = c * T_b_a[0] - s * T_b_a[1], s * T_b_a[0] + c * T_b_a[1]
+    return transformed_covariance(cov, math.cos(T_a_b[2]), math.sin(T_a_b[2]), -lever_y, lever_x)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def seen_motions(T_a_b: Array, motions: Array, covs: Array) -> tuple[Array, Array]:
+    """(m, 3) motions `seen_from` a, with their covariances (m, 3, 3), of those of b; `T_a_b` is a row (3,)."""
+    found, found_covs, at = np.empty_like(motions), np.empty_like(covs), triple(T_a_b)
+    for k in range(len(motions)):
+        found[k] = np.array(seen_from(at, triple(motions[k])))
+        found_covs[k] = seen_covariance(at, triple(motions[k]), covs[k])
+    return found, found_covs
+
+
+# Of matrices of this size a call of LAPACK takes ten times as long as the numbers.
+
+
+@numba.njit(cache=True, error_model="numpy")
+def whitening(cov: Array) -> Array:
+    """(3, 3) lower triangular W of a covariance (3, 3), with W^T W = cov^-1: it whitens errors.
+
+    It is the inverse of the Cholesky factor: where one direction is known to millimetres and another not at all,
+    rounding makes the inverse of the covariance itself indefinite. Raises ValueError for one that is not positive
+    definite.
+    """
+    out = np.zeros((3, 3))
+    first = cov[0, 0]
+    a = math.sqrt(max(first, 0.0))
+    d, f = cov[1, 0] / a, cov[2, 0] / a
+    second = cov[1, 1] - d * d
+    b = math.sqrt(max(second, 0.0))
+    e = (cov[2, 1] - f * d) / b
+    third = cov[2, 2] - f * f - e * e
+    if not (first > 0.0 and second > 0.0 and third > 0.0):
+        raise ValueError("covariance: found one that is not positive definite")
+    c = math.sqrt(third)
+    out[0, 0], out[1, 1], out[2, 2] = 1.0 / a, 1.0 / b, 1.0 / c
+    out[1, 0] = -d / (a * b)
+    out[2, 1] = -e / (b * c)
+    out[2, 0] = (d * e / b - f) / (a * c)
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def whitenings(covs: Array) -> Array:
+    """(m, 3, 3) `whitening` of covariances (m, 3, 3)."""
+    out = np.empty((len(covs), 3, 3))
+    for k in range(len(covs)):
+        out[k] = whitening(covs[k])
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def inverse_covariance(cov: Array) -> Array:
+    """(3, 3) inverse of a covariance, or of an information, positive definite; ValueError for any other."""
+    w, out = whitening(cov), np.empty((3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            total = 0.0
+            for k in range(j, 3):
+                total += w[k, i] * w[k, j]
+            out[i, j] = out[j, i] = total
+    return out
+
+
+_MOST_SWEEPS = 12  # of rotations: five are enough for any matrix that was seen, since convergence is quadratic
+
+
+@numba.njit(cache=True, error_model="numpy")
+def eigen(matrix: Array) -> tuple[Array, Array]:
+    """Ascending eigenvalues (3,) of a symmetric matrix (3, 3), and its eigenvectors (3, 3), in columns.
+
+    By Jacobi's rotations (Golub and Van Loan, "Matrix Computations", 8.5): the roots of the cubic lose half of the
+    digits where two eigenvalues are alike, and small ones beside large ones.
+    """
+    a, axes = matrix.copy(), np.eye(3)
+    for _ in range(_MOST_SWEEPS):
+        if a[0, 1] == 0.0 and a[0, 2] == 0.0 and a[1, 2] == 0.0:
+            break
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            _rotate(a, axes, p, q)
+    values = np.array([a[0, 0], a[1, 1], a[2, 2]])
+    order = np.argsort(values)
+    return values[order], axes[:, order]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _rotate(a: Array, axes: Array, p: int, q: int) -> None:
+    """Make entry p, q of a symmetric matrix zero by a rotation, which is applied to `axes`, too."""
+    off = a[p, q]
+    if abs(a[p, p]) + off == abs(a[p, p]) and abs(a[q, q]) + off == abs(a[q, q]):
+        a[p, q] = a[q, p] = 0.0  # it is below the rounding of both
+        return
+    half = 0.5 * (a[q, q] - a[p, p]) / off
+    t = math.copysign(1.0, half) / (abs(half) + math.hypot(half, 1.0))
+    c = 1.0 / math.hypot(t, 1.0)
+    s = t * c
+    a[p, p] -= t * off
+    a[q, q] += t * off
+    a[p, q] = a[q, p] = 0.0
+    r = 3 - p - q
+    rp, rq = a[r, p], a[r, q]
+    a[r, p] = a[p, r] = c * rp - s * rq
+    a[r, q] = a[q, r] = s * rp + c * rq
+    for k in range(3):
+        kp, kq = axes[k, p], axes[k, q]
+        axes[k, p], axes[k, q] = c * kp - s * kq, s * kp + c * kq
+
+
+@numba.njit(cache=True, error_model="numpy")
+def largest_variance(cov: Array) -> tuple[float, float, float]:
+    """The largest variance of a position with covariance `cov` (2, 2) or (3, 3), and its direction, cosine and sine."""
+    a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
+    half = 0.5 * math.atan2(2.0 * b, a - d)
+    return 0.5 * (a + d + math.hypot(a - d, 2.0 * b)), math.cos(half), math.sin(half)

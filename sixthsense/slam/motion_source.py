@@ -51,10 +51,6 @@ class MotionSource(Protocol):
         """Whether the robot was carried during an increment."""
         ...
 
-    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
-        """The motion since the last keyframe to go on from, after a scan was aligned as `found`, or was not."""
-        ...
-
     def for_tracking(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe with all its errors, for a scan to be aligned from."""
         ...
@@ -73,7 +69,7 @@ class MotionSource(Protocol):
 
 
 class ByWheels:
-    """Wheels have measured the motion, and an aligned scan is no reason to forget it."""
+    """Wheels have measured the motion."""
 
     is_guess = False
 
@@ -89,10 +85,6 @@ class ByWheels:
     def is_carried(self, increment: Odometry) -> bool:
         """Whether no wheel has measured an increment."""
         return increment.is_carried()
-
-    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
-        """The motion by the wheels."""
-        return since
 
     def for_tracking(self, since: Odometry) -> Odometry:
         """The motion with the errors of any wheels."""

@@ -18,7 +18,7 @@ from sixthsense.slam.scans.links import WIDE_GATE_M
 from sixthsense.slam.scans.map_views import MapViews
 from sixthsense.slam.scans.place_search import MOST_POINTS, is_same_place
 from sixthsense.slam.scans.places import PLACE, Window, peaks, pyramid
-from sixthsense.slam.scans.tracking import LEAST_SCORE, Tracked, aligned
+from sixthsense.slam.scans.tracking import LEAST_SCORE, Aligned, aligned
 from sixthsense.slam.scans.visibility import Agreement, judged
 
 _KNOWN_M, _KNOWN_RAD = 0.03, 0.02  # sigmas below which linearization at the given pose is good
@@ -30,9 +30,9 @@ _AS_GOOD = 0.85  # another place that explains at least this part is as good
 
 
 class _Place(NamedTuple):
-    alone: Tracked
+    alone: Aligned
     """by the scan alone"""
-    both: Tracked
+    both: Aligned
     """by the scan and the given pose"""
 
     @property

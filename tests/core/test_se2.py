@@ -12,10 +12,17 @@ from sixthsense.core.se2 import (
     between,
     compose,
     composed,
+    eigen,
     inverse,
+    inverse_covariance,
     inverted,
+    largest_variance,
     move_points,
     relative,
+    seen_covariance,
+    seen_from,
+    whitening,
+    whitenings,
     wrapped,
 )
 
@@ -99,3 +106,69 @@ def test_driven_is_the_integration_in_plain_python() -> None:
         pose, (speed, turn_rate), steps = random_triple(), RNG.uniform(-3.0, 3.0, 2), int(RNG.integers(1, 5))
         expected = driven_in_python(pose, float(speed), float(turn_rate), 0.01, steps)
         assert driven(pose, float(speed), float(turn_rate), 0.01, steps) == expected
+
+
+def covariances_of_any_shape(count: int) -> np.ndarray:
+    """(n, 3, 3) covariances of random axes, with sigmas from 1e-5 to 1e3: most of them are nearly singular."""
+    axes = np.linalg.qr(RNG.normal(size=(count, 3, 3)))[0]
+    variances = 10.0 ** RNG.uniform(-10.0, 6.0, size=(count, 3))
+    covs = (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1)
+    return 0.5 * (covs + covs.transpose(0, 2, 1))
+
+
+MILD = np.diag([0.04, 0.3, 0.02]) + 0.03 * np.ones((3, 3))
+
+
+def test_a_root_of_the_information_is_the_inverse_of_the_factor_of_lapack() -> None:
+    for cov in [MILD, *covariances_of_any_shape(300)]:
+        try:
+            factor = np.linalg.cholesky(cov)
+        except np.linalg.LinAlgError:  # by rounding
+            continue
+        found = whitening(cov)
+        assert np.allclose(found, np.tril(found))
+        assert np.allclose(found @ factor, np.eye(3), rtol=0.0, atol=1e-15 * np.linalg.cond(factor) ** 2)
+    many = covariances_of_any_shape(5) + 1e-4 * np.eye(3)
+    assert np.array_equal(whitenings(many), [whitening(cov) for cov in many])
+    assert np.allclose(inverse_covariance(MILD), np.linalg.inv(MILD), rtol=1e-13)
+
+
+@pytest.mark.parametrize("entry", [(0, 0), (1, 1), (2, 2)])
+def test_what_is_not_positive_definite_has_no_root(entry: tuple[int, int]) -> None:
+    cov = MILD.copy()
+    cov[entry] = -0.01
+    with pytest.raises(ValueError, match="not positive definite"):
+        whitening(cov)
+
+
+def test_eigenvalues_and_axes_are_those_of_lapack() -> None:
+    several = [MILD, np.diag([0.3, 0.1, 0.2]), np.eye(3), np.zeros((3, 3)), np.ones((3, 3)), MILD - 0.2 * np.eye(3)]
+    for matrix_ in [*several, *covariances_of_any_shape(300)]:
+        values, axes = eigen(matrix_)
+        scale = max(np.abs(matrix_).max(), 1e-300)
+        assert np.allclose(values / scale, np.linalg.eigvalsh(matrix_) / scale, rtol=0.0, atol=3e-15)
+        assert np.allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=1e-14)
+        assert np.allclose(((axes * values) @ axes.T) / scale, matrix_ / scale, rtol=0.0, atol=3e-15)
+
+
+def test_the_largest_variance_of_a_position_is_the_largest_eigenvalue_in_its_direction() -> None:
+    for cov in covariances_of_any_shape(100):
+        values, axes = np.linalg.eigh(cov[:2, :2])
+        variance, c, s = largest_variance(cov)
+        assert variance == pytest.approx(values[1], rel=1e-12)
+        assert abs(axes[:, 1] @ [c, s]) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_motion_seen_from_a_frame_that_is_fixed_to_the_other_is_that_of_matrices_with_its_covariance() -> None:
+    mount, motion = random_triple(), random_triple()
+    there = matrix(mount) @ matrix(motion) @ np.linalg.inv(matrix(mount))
+    assert np.allclose(matrix(seen_from(mount, motion)), there, atol=1e-11)
+
+    def seen(values: np.ndarray) -> np.ndarray:
+        return np.array(seen_from(mount, tuple(values)))
+
+    step = 1e-6
+    jacobian = np.column_stack(
+        [(seen(np.add(motion, d)) - seen(np.subtract(motion, d))) / (2 * step) for d in step * np.eye(3)]
+    )
+    assert np.allclose(seen_covariance(mount, motion, MILD), jacobian @ MILD @ jacobian.T, rtol=1e-6)

@@ -252,7 +252,10 @@ def check_parameters(prior: ParameterEstimate[Any], has_begun: bool) -> None:
 
 def check_links(links: Sequence[Link], poses: int) -> None:
     """Raise KeyError for a link to a pose that is not one of the `poses` so far, ValueError for an invalid one."""
-    are_good = are_covariances([link.relative.cov for link in links])
+    if not links:
+        return
+    shapes = {np.shape(link.relative.cov) for link in links}
+    are_good = shapes == {(3, 3)} and are_covariances(np.array([link.relative.cov for link in links], dtype=np.float64))
     for k, link in enumerate(links):
         for pose in (link.before, link.after):
             if not 0 <= pose < poses:

@@ -117,10 +117,6 @@ class Prior(NamedTuple):
     slip_sigmas: float = math.inf
     """scale of the Cauchy loss on the distance from it; infinite for none"""
 
-    def squared(self, off: Array) -> float:
-        """Squared Mahalanobis distance of a pose that is `off` (3,) from it."""
-        return float(off @ self.information @ off)
-
 
 class Views(NamedTuple):
     """A scan and those that it is aligned with."""

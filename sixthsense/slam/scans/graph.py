@@ -10,7 +10,6 @@ ICRA 2013. A keyframe leaves some time after it was made. Its links are lost, so
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
@@ -18,16 +17,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
-from sixthsense.core.se2 import between, compose
+from sixthsense.core.se2 import between, compose, largest_variance, seen_motions, whitenings
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
-from sixthsense.slam.scans.alignment import SUMS
-from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, WIDE_GATE_M, Alignments, align_pairs, covariances
-from sixthsense.slam.scans.mount import Mount
+from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
 from sixthsense.slam.scans.returns import ScanStore
+from sixthsense.slam.scans.tracking import Usual
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 RECENT = 4  # keyframes before a keyframe that it is linked to
@@ -75,110 +72,93 @@ class ScanGraph:
         self._rows = np.zeros((64, 3))
         self._centres = np.zeros((64, 3))
         """middle of what each keyframe sees, in its frame, as poses without a turn"""
-        self.mount = Mount(Pose())
+        self._kept_rows = np.ones(64, dtype=np.bool_)
+        self._mount = np.zeros(3)
+        """(3,) `T_robot_laser`"""
+        self.poses, self.is_kept = self._rows[:0], self._kept_rows[:0]
+        """(K, 3) `T_world_laser` of the keyframes, and (K,) which of them are in the estimator's graph; views. The
+        poses of others follow their neighbours'."""
+        self.count = 0
+        """number of keyframes"""
         self.links: dict[int, KeyframeLink] = {}
         """by the estimator's id"""
+        self._of: dict[int, list[int]] = {}
+        """of a keyframe: the ids of its links to earlier ones"""
         self.uncertainty = UncertaintyGraph()
         """of the poses relative to each other: an arc for each motion, and for links to old keyframes"""
-        self.old_links: dict[int, list[int]] = {}
-        """of a keyframe: the older ones of another pass that it is linked to; follows from `links`"""
-        self._is_kept = np.ones(64, dtype=np.bool_)
-        self.usual_agreement = 1.0
-        """share of the returns, of those that are judged, that scans lately agreed in where they were tracked"""
-        self.count = 0
+        self.usual = Usual(0.0, 0.5)
+        """what scans lately had where they were tracked"""
         self.first = 0
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of keyframes when all poses were read"""
         self._factor: float | None = None
         """the variance factor, once it was asked for after all poses were read"""
-        self._links: Counter[int] = Counter()
-        """number of links of each keyframe to earlier ones"""
 
     @property
-    def poses(self) -> Array:
-        """(K, 3) `T_world_laser` of the keyframes; a view."""
-        return self._rows[: self.count]
+    def usual_agreement(self) -> float:
+        """Share of the returns, of those that are judged, that scans lately agreed in where they were tracked."""
+        return 1.0 - self.usual.contradicted
 
-    @property
-    def is_kept(self) -> NDArray[np.bool_]:
-        """(K,) which keyframes are in the estimator's graph; a view. The poses of others follow their neighbours'."""
-        return self._is_kept[: self.count]
-
-    def add(self, pose: Array, mount: Mount) -> None:
-        """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
-        if self.count == len(self._rows):
+    def add(self, pose: Array, mount: Array) -> None:
+        """Add the newest keyframe at `pose` (3,), `T_world_laser`, whose `mount` (3,) is `T_robot_laser`."""
+        k = self.count
+        if k == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            self._is_kept = np.concatenate([self._is_kept, np.ones_like(self._is_kept)])
+            self._kept_rows = np.concatenate([self._kept_rows, np.ones_like(self._kept_rows)])
             self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
-        self._rows[self.count], self.mount = pose, mount
-        points = self.store.returns.points[self.count]
-        self._centres[self.count, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
-        self.count += 1
+        self._rows[k], self._mount = pose, mount
+        points = self.store.returns.points[k]
+        self._centres[k, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
+        self.count = k + 1
+        self.poses, self.is_kept = self._rows[: k + 1], self._kept_rows[: k + 1]
 
     def refresh(self) -> None:
         """Take all poses from the estimator."""
-        self._rows[: self.count] = self.mount.laser_poses(self.estimator.trajectory())
+        self.poses[:] = compose(self.estimator.trajectory(), self._mount)
         self._refreshed, self._factor = self.count, None
-
-    def _refresh_near(self, targets: list[int]) -> None:
-        """Take the newest poses and those that links lead to; all of them from time to time."""
-        newest = range(max(0, self.count - _NEWEST), self.count)
-        keys = sorted({*newest, *targets})
-        self._rows[keys] = self.mount.laser_poses(self.estimator.poses_at(keys))
-        if self.count - self._refreshed >= _REFRESH_PERIOD:
-            self.refresh()
 
     def link(self, key: int, old: NDArray[np.int64], closure: int | None) -> list[int]:
         """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones.
 
         All at once: each time costs the estimator a solution.
         """
-        recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
-        good = np.flatnonzero(recent.agree(AGREEMENT, self.usual_agreement))
-        return self.give(self._near(key, old), OLD_LOSS, closure, [(recent, int(k)) for k in good])
+        recent = np.arange(max(self.first, key - RECENT), key)
+        is_old = np.arange(len(recent) + len(old)) >= len(recent)
+        gates_m = np.where(is_old, NEAR_GATE_M, TRACKED_GATE_M)
+        found = align_with(self.store.returns, np.concatenate([recent, old]), key, self.poses, gates_m)
+        is_good = found.agree(AGREEMENT, self.usual_agreement) & (~is_old | (found.moved_m < WIDE_GATE_M))
+        good = np.flatnonzero(is_good)
+        return self.give(found.rows(good), is_old[good], OLD_LOSS, closure)
 
     def link_old(self, key: int, targets: NDArray[np.int64], closure: int | None) -> list[int]:
         """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres; their ids."""
-        return self.give(self._near(key, targets), OLD_LOSS, closure)
+        found = align_with(self.store.returns, targets, key, self.poses, np.full(len(targets), NEAR_GATE_M))
+        is_good = found.agree(AGREEMENT, self.usual_agreement) & (found.moved_m < WIDE_GATE_M)
+        good = np.flatnonzero(is_good)
+        return self.give(found.rows(good), np.ones(len(good), dtype=np.bool_), OLD_LOSS, closure)
 
-    def _near(self, key: int, targets: NDArray[np.int64]) -> list[tuple[Alignments, int]]:
-        """Alignments with old keyframes that agree, near the present poses."""
-        found = self._align(targets, key, NEAR_GATE_M)
-        shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
-        near = np.hypot(shift[:, 0], shift[:, 1]) < WIDE_GATE_M
-        good = np.flatnonzero(found.agree(AGREEMENT, self.usual_agreement) & near)
-        return [(found, int(k)) for k in good]
-
-    def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
-        """Align a keyframe with others, from the present poses."""
-        starts = between(self.poses[targets], self.poses[key])
-        return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gate_m)
-
-    def give(
-        self,
-        rows: list[tuple[Alignments, int]],
-        loss_scale: float,
-        closure: int | None,
-        recent: Sequence[tuple[Alignments, int]] = (),
-    ) -> list[int]:
-        """Give links to old keyframes and `recent` ones of one pass, rows of alignments; ids of those to old ones."""
-        given = [*recent, *rows]
-        sums = np.array([found.sums[k] for found, k in given]).reshape(-1, SUMS)
-        self._links.update(int(found.sources[k]) for found, k in given)
+    def give(self, found: Alignments, is_old: NDArray[np.bool_], loss_scale: float, closure: int | None) -> list[int]:
+        """Give aligned pairs to the estimator as links, of one pass or to old keyframes; the ids of the latter."""
+        if not len(is_old):
+            return []
         # The links of a scan are together worth its alignment with a map of that many scans.
-        shared_by = np.array([1.0 + self._links[int(found.sources[k])] for found, k in given])
-        covs = covariances(sums, shared_by, self._sigma_m)
+        sources = found.sources.tolist()
+        shared_by = np.array([1.0 + len(self._of.get(key, ())) + sources.count(key) for key in sources])
+        covs = covariances(found.sums, shared_by, self._sigma_m)
         links = [
-            KeyframeLink(int(f.targets[k]), int(f.sources[k]), f.poses[k], cov, LinkKind.OLD, closure)
-            for (f, k), cov in zip(given, covs, strict=True)
+            KeyframeLink(target, source, pose, cov, *((LinkKind.OLD, closure) if old else (LinkKind.ONE_PASS, None)))
+            for target, source, pose, cov, old in zip(
+                found.targets.tolist(), sources, found.poses, covs, is_old.tolist(), strict=True
+            )
         ]
-        links[: len(recent)] = [a._replace(kind=LinkKind.ONE_PASS, closure=None) for a in links[: len(recent)]]
-        losses = [_RECENT_LOSS] * len(recent) + [loss_scale] * len(rows)
-        ids = self._add(links, losses)
-        if links:
-            self._refresh_near([int(found.targets[k]) for found, k in rows])
-        return ids[len(recent) :]
+        ids = self._add(links, [loss_scale if old else _RECENT_LOSS for old in is_old])
+        # The newest poses have moved, and those that links lead to; all of them are read from time to time.
+        keys = sorted({*range(max(0, self.count - _NEWEST), self.count), *found.targets[is_old].tolist()})
+        self.poses[keys] = compose(self.estimator.poses_at(keys), self._mount)
+        if self.count - self._refreshed >= _REFRESH_PERIOD:
+            self.refresh()
+        return [i for i, old in zip(ids, is_old, strict=True) if old]
 
     def with_loss(self, ids: list[int], loss_scale: float) -> list[int]:
         """Replace links by the same ones with another loss; their new ids."""
@@ -186,7 +166,6 @@ class ScanGraph:
         self._drop(ids)
         new = self._add(links, [loss_scale] * len(links))
         self.estimator.unlink(ids)
-        self._links.update(link.source for link in links)
         self.refresh()
         return new
 
@@ -200,33 +179,35 @@ class ScanGraph:
         """Take keyframes out of the estimator's graph, with their links."""
         self._drop(self.estimator.take_out(keys))
         self.uncertainty.take_out(keys)
-        self._is_kept[keys] = False
+        self.is_kept[keys] = False
         self.refresh()
 
     def _add(self, links: list[KeyframeLink], losses: list[float]) -> list[int]:
-        relative = [self._of_robot(link) for link in links]
         ids = self.estimator.link(
-            [Link(a.target, a.source, motion, loss) for a, motion, loss in zip(links, relative, losses, strict=True)]
+            [
+                Link(link.target, link.source, motion, loss)
+                for link, motion, loss in zip(links, self._of_robot(links), losses, strict=True)
+            ]
         )
         for i, link in zip(ids, links, strict=True):
             self.links[i] = link
+            self._of.setdefault(link.source, []).append(i)
             if link.kind is LinkKind.OLD:
-                self.old_links.setdefault(link.source, []).append(link.target)
-                position = float(np.linalg.eigvalsh(link.cov[:2, :2])[-1])
+                position = largest_variance(link.cov)[0]
                 self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
         return ids
+
+    def _of_robot(self, links: Sequence[KeyframeLink]) -> list[Odometry]:
+        """The motions of the robot that links measure."""
+        poses, covs = np.array([link.pose for link in links]), np.array([link.cov for link in links])
+        motions, covs = seen_motions(self._mount, poses.reshape(-1, 3), covs.reshape(-1, 3, 3))
+        return [Odometry(Pose(*motion), cov) for motion, cov in zip(motions.tolist(), covs, strict=True)]
 
     def _drop(self, ids: list[int]) -> None:
         self.uncertainty.remove(ids)
         for i in ids:
-            link = self.links.pop(i)
-            self._links[link.source] -= 1
-            if link.kind is LinkKind.OLD:
-                self.old_links[link.source].remove(link.target)
-                if not self.old_links[link.source]:
-                    del self.old_links[link.source]
+            self._of[self.links.pop(i).source].remove(i)
 
-    @property
     def variance_factor(self) -> float:
         """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
 
@@ -239,15 +220,12 @@ class ScanGraph:
         if self.first or self.count < 2:
             return 1.0  # the covariance of a motion that nothing has measured is as stated
         if self._factor is None:
-            self._factor = self._estimated_factor()
+            links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
+            passes = {(link.source, link.kind is LinkKind.ONE_PASS) for link in links}
+            keys = {link.source for link in links}
+            redundancy = 3.0 * len(passes) * (1.0 - len(keys) / max(len(links), 1))
+            self._factor = (float(self.squares(links).sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR)
         return self._factor
-
-    def _estimated_factor(self) -> float:
-        links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
-        passes = {(link.source, link.kind is LinkKind.ONE_PASS) for link in links}
-        keys = {link.source for link in links}
-        redundancy = 3.0 * len(passes) * (1.0 - len(keys) / max(len(links), 1))
-        return (float(self.squares(links).sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR)
 
     def squares(self, links: Sequence[KeyframeLink]) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""
@@ -256,24 +234,26 @@ class ScanGraph:
         relative = np.array([link.pose for link in links]).reshape(-1, 3)
         off = relative - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
         off[:, 2] = wrap_angle(off[:, 2])
-        return np.asarray(((root_information(covs) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
+        return np.asarray(((whitenings(covs) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
 
     def robot_links(self) -> PoseLinks:
         """All links, between poses of the robot."""
         links = list(self.links.values())
-        motions = [self._of_robot(link) for link in links]
+        motions = self._of_robot(links)
         ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
         poses = np.array([motion.motion.array() for motion in motions]).reshape(-1, 3)
         return PoseLinks(ends, poses, np.array([motion.cov for motion in motions]).reshape(-1, 3, 3))
 
-    def _of_robot(self, link: KeyframeLink) -> Odometry:
-        return self.mount.robot_odometry(Odometry(Pose.from_array(link.pose), link.cov))
+    def linked_old(self, key: int) -> list[int]:
+        """Old keyframes that a keyframe is linked to."""
+        links = (self.links[i] for i in self._of.get(key, ()))
+        return [link.target for link in links if link.kind is LinkKind.OLD]
 
     def near_linked(self, key: int) -> NDArray[np.int64]:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
         around: set[int] = set()
         for other in range(max(0, key - _LINKED_LATELY), key):
-            for old in self.old_links.get(other, ()):
+            for old in self.linked_old(other):
                 around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - OLD_AGE)))
         candidates = np.array(sorted(around), dtype=np.int64)
         return self.nearest(key, candidates[self.is_kept[candidates]])
@@ -299,10 +279,6 @@ class ScanGraph:
         order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
         return np.asarray(order[distance[order] < reach_m])
 
-    def linked_old(self, key: int) -> NDArray[np.int64]:
-        """Old keyframes that a keyframe is linked to."""
-        return np.array(self.old_links.get(key, ())[:_OLD], dtype=np.int64)
-
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 
@@ -325,7 +301,6 @@ class Closings:
         """Links to old keyframes."""
         return [link for link in self._graph.links.values() if link.kind is LinkKind.OLD]
 
-    @property
     def own_keys(self) -> set[int]:
         """Keyframes of the links that loops were closed with."""
         return {key for own in self._own.values() for link in self._of(own) for key in (link.target, link.source)}
@@ -345,7 +320,8 @@ class Closings:
         self._latest = closure = self.accepted
         self.accepted += 1
         broken = self._broken(closure)
-        ids = graph.with_loss(graph.give(links, np.inf, closure), OLD_LOSS)
+        given = graph.give(Alignments.of(links), np.ones(len(links), dtype=np.bool_), np.inf, closure)
+        ids = graph.with_loss(given, OLD_LOSS)
         self._own[closure] = ids
         while contradicted := [g for g in self._own if self._contradiction(g) > _CONTRADICTION]:
             self._undo(max(contradicted, key=self._contradiction))
@@ -394,22 +370,21 @@ class Thinning:
     def look(self, key: int) -> None:
         """Judge keyframes that are old enough at the newest one, `key`."""
         for k in range(self._next, key - OLD_AGE + 1):
-            if self._is_spare(k):
+            if self._is_spare(k) and k not in self._closings.own_keys():
                 self._spare.append(k)
             self._next = k + 1
-        # A loop may have been closed with some of them since they were judged.
-        own_keys = self._closings.own_keys
-        self._spare = [k for k in self._spare if k not in own_keys]
+        if self._spare:
+            # A loop may have been closed with some of them since they were judged.
+            own_keys = self._closings.own_keys()
+            self._spare = [k for k in self._spare if k not in own_keys]
         if len(self._spare) >= _BATCH:
             self._graph.take_out(self._spare)
             self._spare = []
 
     def _is_spare(self, k: int) -> bool:
         """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough."""
-        old_links, graph = self._graph.old_links, self._graph
-        if any(len(old_links.get(j, ())) < _LEAST_OLD_LINKS for j in range(k, k + RECENT + 1)):
-            return False
-        if k in self._closings.own_keys:
+        graph = self._graph
+        if any(len(graph.linked_old(j)) < _LEAST_OLD_LINKS for j in range(k, k + RECENT + 1)):
             return False
         kept = graph.is_kept[:k].copy()
         kept[self._spare] = False

@@ -12,14 +12,15 @@ IROS 2004, treat the same correlation for relative-pose measurements.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import inverse
+from sixthsense.core.se2 import eigen, inverse, relative, transformed_covariance, triple
 from sixthsense.slam.scans.alignment import (
     HESSIAN,
     HITS,
@@ -31,6 +32,7 @@ from sixthsense.slam.scans.alignment import (
     Prior,
     Views,
     align,
+    matrix,
 )
 from sixthsense.slam.scans.returns import Returns
 from sixthsense.slam.scans.visibility import compare_views
@@ -47,8 +49,7 @@ FEW_RETURNS = 3.0
 _UNOBSERVED = 1000.0  # sigma, m or rad, where scans say nothing: many links together must not say more than the motion
 
 
-@dataclass(frozen=True, slots=True)
-class Alignments:
+class Alignments(NamedTuple):
     """Aligned pairs of keyframes; arrays of m rows."""
 
     targets: NDArray[np.int64]
@@ -59,6 +60,8 @@ class Alignments:
     """(m, SUMS) at these poses"""
     views: NDArray[np.int64]
     """(m, 2, 3) hits, violations and returns, of the source seen by the target and the other way round"""
+    moved_m: Array
+    """(m,) how far each pose is from where its alignment began"""
 
     def agree(self, least_agreement: float, usual: float, least_seen: float = SEEN_SHARE) -> NDArray[np.bool_]:
         """(m,) whether both scans show one place: enough partners, and few returns where the other saw through.
@@ -71,11 +74,21 @@ class Alignments:
         is_shared = (seen >= usual * least_seen * count) & (seen >= usual * least_agreement * (seen + through))
         return np.asarray((self.sums[:, HITS] >= LEAST_HITS) & is_shared.all(axis=1))
 
+    def rows(self, chosen: NDArray[np.int64]) -> Alignments:
+        """Some of them."""
+        return Alignments._make(values[chosen] for values in self)
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[Alignments, int]]) -> Alignments:
+        """Those of rows, at least one."""
+        return cls._make(np.array([getattr(found, name)[k] for found, k in rows]) for name in cls._fields)
+
     def tell(self) -> NDArray[np.bool_]:
         """(m,) whether either scan saw enough of the place of the other's returns to agree or to contradict."""
         return np.asarray(self.views[:, :, :2].sum(axis=2).min(axis=1) >= LEAST_HITS)
 
 
+@numba.njit(cache=True, error_model="numpy")
 def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     """(m, 3, 3) of the errors of (x, y, theta) of aligned pairs with `sums` (m, SUMS), axes of the targets.
 
@@ -87,49 +100,69 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     many returns tell is not observed. What the residuals have beyond the noise of the laser is shape, common to
     neighbouring returns: a part of it stays in the pose, however many returns there are.
     """
-    noise = 2.0 * sigma_m**2
-    variance = np.maximum(sums[:, SQUARES] / np.maximum(sums[:, WEIGHT], 1.0), noise)
-    floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
-    # Both ways the returns of a pair are counted twice.
-    hessians, (rows, cols) = np.zeros((len(sums), 3, 3)), np.triu_indices(3)
-    hessians[:, rows, cols] = 0.5 * (sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6])
-    returns, axes = np.linalg.eigh(hessians, UPLO="U")
-    share = 2.0 / (np.maximum(shared_by, 2.0) * variance)
-    values = share[:, None] * np.maximum(returns - FEW_RETURNS, 0.0)
-    spread = 1.0 / np.maximum(values, _UNOBSERVED**-2)
-    shape = floor[:, None, None] * np.diag([1.0, 1.0, _LEVER_M**-2])
-    return np.asarray((axes * spread[:, None, :]) @ axes.transpose(0, 2, 1) + shape)
+    noise, out = 2.0 * sigma_m**2, np.empty((len(sums), 3, 3))
+    for k in range(len(sums)):
+        variance = max(sums[k, SQUARES] / max(sums[k, WEIGHT], 1.0), noise)
+        floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
+        # Both ways the returns of a pair are counted twice.
+        returns, axes = eigen(0.5 * (matrix(sums[k], HESSIAN) - matrix(sums[k], SPREAD)))
+        share = 2.0 / (max(shared_by[k], 2.0) * variance)
+        spread = 1.0 / np.maximum(share * np.maximum(returns - FEW_RETURNS, 0.0), _UNOBSERVED**-2)
+        out[k] = _in_axes(spread, axes)
+        for i, shape in enumerate((floor, floor, floor * _LEVER_M**-2)):
+            out[k, i, i] += shape
+    return out
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _in_axes(values: Array, axes: Array) -> Array:
+    """(3, 3) symmetric, of these eigenvalues (3,) and axes (3, 3), in columns."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] = out[j, i] = (
+                values[0] * axes[i, 0] * axes[j, 0]
+                + values[1] * axes[i, 1] * axes[j, 1]
+                + values[2] * axes[i, 2] * axes[j, 2]
+            )
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
 def align_pairs(
     returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gate_m: float
 ) -> Alignments:
     """Align pairs of scans from the relative poses `starts` (m, 3), and compare their views."""
-    m = len(targets)
-    poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
-    _align_all(returns, targets, sources, gate_m, poses, sums, views)
-    return Alignments(targets, sources, poses, sums, views)
+    return _aligned(returns, targets, sources, starts, np.full(len(targets), gate_m))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _align_all(
-    returns: Returns,
-    targets: NDArray[np.int64],
-    sources: NDArray[np.int64],
-    gate_m: float,
-    poses: Array,
-    sums: Array,
-    views: NDArray[np.int64],
-) -> None:
+def align_with(returns: Returns, targets: NDArray[np.int64], key: int, poses: Array, gates_m: Array) -> Alignments:
+    """Align a scan with others from where their `poses` (K, 3) say, with a first gate (m,) for each."""
+    starts = np.empty((len(targets), 3))
+    for k, target in enumerate(targets):
+        starts[k] = np.array(relative(triple(poses[target]), triple(poses[key])))
+    return _aligned(returns, targets, np.full(len(targets), key), starts, gates_m)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _aligned(
+    returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gates_m: Array
+) -> Alignments:
+    m = len(targets)
+    poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
     anchor, origin = np.eye(3) * (_ANCHOR / SIGMA_M**2), np.zeros((1, 3))
-    for k in range(len(targets)):
+    for k in range(m):
         target, source, pose = targets[k], sources[k], poses[k]
         prior = Prior(pose.copy(), anchor, math.inf)
-        align(Views(returns, source, targets[k : k + 1], origin), prior, gate_m, True, pose, sums[k])
+        align(Views(returns, source, targets[k : k + 1], origin), prior, gates_m[k], True, pose, sums[k])
         views[k, 0, 0], views[k, 0, 1], views[k, 0, 2] = compare_views(returns, target, source, pose)
         views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(returns, source, target, inverse(pose))
+    moved_m = np.hypot(poses[:, 0] - starts[:, 0], poses[:, 1] - starts[:, 1])
+    return Alignments(targets, sources, poses, sums, views, moved_m)
 
 
+@numba.njit(cache=True, error_model="numpy")
 def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
     """(3, 3) of the private error of a scan's apparent pose, axes of its laser: H^-1 N H^-1.
 
@@ -138,27 +171,33 @@ def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
     is as much of it as the beam meets the wall head-on. Along a direction that the scan does not observe the apparent
     pose says nothing, and there is no such error: what the odometry says there is in the graph.
     """
-    x, y, ranges = returns.points[key].astype(np.float64).T
-    nx, ny, variance = returns.normals[key].astype(np.float64).T
-    has_line = (ranges > 0.0) & ((nx != 0.0) | (ny != 0.0))
-    across = np.stack([nx, ny, x * ny - y * nx])[:, has_line]
-    along = np.stack([-ny, nx, x * nx + y * ny])[:, has_line]
-    cosine = along[2] / ranges[has_line]
-    weights, axes = np.linalg.eigh(across @ across.T - (along * variance[has_line]) @ along.T)
-    observed = weights > FEW_RETURNS
-    inverse = (axes * np.where(observed, 1.0 / np.where(observed, weights, 1.0), 0.0)) @ axes.T
-    return np.asarray(sigma_m**2 * inverse @ ((across * cosine**2) @ across.T) @ inverse)
+    points, normals = returns.points[key], returns.normals[key]
+    hessian, gradient = np.zeros((3, 3)), np.zeros((3, 3))
+    for k in range(len(points)):
+        x, y, distance = float(points[k, 0]), float(points[k, 1]), float(points[k, 2])
+        nx, ny, variance = float(normals[k, 0]), float(normals[k, 1]), float(normals[k, 2])
+        if distance <= 0.0 or (nx == 0.0 and ny == 0.0):
+            continue
+        across, along = (nx, ny, x * ny - y * nx), (-ny, nx, x * nx + y * ny)
+        cosine_squared = (along[2] / distance) ** 2
+        for i in range(3):
+            for j in range(3):
+                hessian[i, j] += across[i] * across[j] - along[i] * variance * along[j]
+                gradient[i, j] += across[i] * cosine_squared * across[j]
+    weights, axes = eigen(hessian)
+    for k in range(3):
+        weights[k] = 1.0 / weights[k] if weights[k] > FEW_RETURNS else 0.0
+    inverse = _in_axes(weights, axes)
+    return sigma_m**2 * inverse @ gradient @ inverse
 
 
+@numba.njit(cache=True, error_model="numpy")
 def reported(cov: Array, pose: Array, own: Array, first: Array, start: Array) -> Array:
     """(3, 3) covariance of a true pose (3,) from that of its apparent pose, world axes.
 
     `own` and `first` (3, 3) are the private covariances of its scan and of the first one, which was seen from `start`
     (3,), both in the axes of their lasers. The error of the first turns and shifts all that follows.
     """
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    c, s = np.cos(start[2]), np.sin(start[2])
-    x, y = pose[:2] - start[:2]
-    moved = np.array([[c, -s, -y], [s, c, x], [0.0, 0.0, 1.0]])
-    return np.asarray(cov + turn @ own @ turn.T + moved @ first @ moved.T)
+    turned = transformed_covariance(own, math.cos(pose[2]), math.sin(pose[2]), 0.0, 0.0)
+    x, y = pose[0] - start[0], pose[1] - start[1]
+    return cov + turned + transformed_covariance(first, math.cos(start[2]), math.sin(start[2]), -y, x)

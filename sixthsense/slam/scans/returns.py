@@ -200,22 +200,18 @@ class ScanStore:
     def __init__(self, max_range_m: float, bearings: Bearings | None = None) -> None:
         """Begin empty; returns beyond `max_range_m` are not used. Without `bearings` each scan has its own."""
         self._max_range_m, self._bearings = max_range_m, bearings
-        self._returns = _zeros(_ROWS, 0 if bearings is None else bearings.beams)
+        self.returns = _zeros(_ROWS, 0 if bearings is None else bearings.beams)
+        """the arrays, with `count` scans, then the newest one, then rows without meaning"""
         self.count = 0
         """number of scans kept"""
-
-    @property
-    def returns(self) -> Returns:
-        """The arrays, with `count` scans, then the newest one, then rows without meaning."""
-        return self._returns
 
     def put(self, scan: Scan) -> int:
         """Write a scan behind those that are kept; its row."""
         bearings = self._bearings or bearings_of(scan)
-        rows, beams = self._returns.points.shape[:2]
+        rows, beams = self.returns.points.shape[:2]
         if self.count == rows or bearings.beams > beams:
-            self._returns = _grown(self._returns, rows * (1 + (self.count == rows)), max(beams, bearings.beams))
-        points, normals, cells = self._returns
+            self.returns = _grown(self.returns, rows * (1 + (self.count == rows)), max(beams, bearings.beams))
+        points, normals, cells = self.returns
         limit, cells[self.count] = min(self._max_range_m, scan.max_range), bearings
         fill_cells(scan.ranges, scan.bearings, bearings, limit, points[self.count])
         fit_normals(points[self.count], bearings, normals[self.count])

@@ -30,8 +30,13 @@ class Agreement(NamedTuple):
     @property
     def share(self) -> float:
         """Share of the violations in what is judged; 0 where nothing is."""
-        count = self.hits + self.violations
-        return self.violations / count if count >= _LEAST_JUDGED else 0.0
+        return contradicted(self.hits, self.violations)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def contradicted(hits: float, violations: float) -> float:
+    """Share of the violations in what is judged; 0 where that is too little to be evidence."""
+    return violations / (hits + violations) if hits + violations >= _LEAST_JUDGED else 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")

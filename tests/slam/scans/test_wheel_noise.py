@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from sixthsense.slam.scans.wheel_noise import WheelNoise
+from sixthsense.core.geometry import rotation
+from sixthsense.slam.scans.tracking import WheelNoise
 
 STATED = np.diag([0.03, 0.04, 0.02]) ** 2
+HEADING = 0.8
 
 
 def learned(position, heading, slips=0.0, motions=1500, seed=3):
@@ -19,7 +21,9 @@ def learned(position, heading, slips=0.0, motions=1500, seed=3):
             truth = rng.normal(size=3) * [0.4, 0.4, 0.3]
         seen = truth + rng.multivariate_normal(np.zeros(3), scans)
         left = np.linalg.inv(np.linalg.inv(now) + np.linalg.inv(scans))
-        noise.measured(STATED, left @ np.linalg.inv(scans) @ seen, left)
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(HEADING)
+        noise.measured(STATED, turn @ left @ np.linalg.inv(scans) @ seen, turn @ left @ turn.T, HEADING)
     return noise.factors
 
 
