@@ -31,13 +31,13 @@ from sixthsense.slam.estimators.base import (
     check_observations,
     check_prior,
 )
-from sixthsense.slam.estimators.isam2_chain import NONE, Chain
+from sixthsense.slam.estimators.isam2_chain import NONE, Chain, Joined
 from sixthsense.slam.estimators.isam2_factors import (
     Loss,
     exact_factor,
     graph_of,
     lines,
-    link_factor,
+    link_factors,
     loss_of,
     motion_factor,
     prior_frames,
@@ -73,6 +73,8 @@ class ISAM2:
         self._unsolved = Unsolved()
         self._poses = 0
         """number of poses, solved and waiting"""
+        self._last_solved = 0
+        """key of the last solved pose"""
         self._landmarks = Landmarks()
         self._head = Head(self._solver, start, check_covariance("start_cov", start_cov))
         self._chain = Chain()
@@ -108,12 +110,13 @@ class ISAM2:
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Add the present pose and the observations from it; solve if there are any."""
-        check_observations(observations)
         guess = self._head.pose @ self._head.motion(self._pending).motion
-        is_spare = bool(observations) and self._adds_nothing(guess, observations)
-        self._add_pose(guess)
         if not observations:
+            self._add_pose(guess)
             return
+        check_observations(observations)
+        is_spare = self._adds_nothing(guess, observations)
+        self._add_pose(guess)
         first = self._unsolved.graph.size()
         self._observations.add(self._poses - 1, guess, observations, self._unsolved)
         self._observations.solved(self._solve_waiting(self._chain.due())[first:])
@@ -130,16 +133,15 @@ class ISAM2:
         if not links:
             return []
         first = self._unsolved.graph.size()
-        self._chain.keep({pose for link in links for pose in (link.before, link.after)})
-        attached = [self._chain.attached(link) for link in links]
-        for link in attached:
-            self._guess_by(link)
-            self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
-        guess = self._pose_at(self._poses - 1)
+        attached = self._chain.attached(links)
+        self._guess_by(attached)
+        for factor in link_factors(attached):
+            self._unsolved.graph.add(factor)
+        guess = gtsam.Pose2(*self.poses_at([self._poses - 1])[0])
         ids = self._solve_waiting()[first:]
         self._links.update(zip(ids, attached, strict=True))
         self._solution.update(self._last_solved)
-        off = to_pose2(guess).localCoordinates(to_pose2(self._head.pose))
+        off = guess.localCoordinates(to_pose2(self._head.pose))
         if np.abs(off).max() > self._config.relinearize_threshold:
             self._converge()
         return ids
@@ -184,7 +186,7 @@ class ISAM2:
         pose = self._head.pose @ self._head.motion(self._pending).motion
         cov = self._head.propagated(self._head.cov(), self._pending)
         landmarks = self._solution.landmarks()
-        return Estimate(pose, cov, landmarks.ids(), landmarks.means.copy(), landmarks.walls())
+        return Estimate(pose, cov, landmarks.ids.copy(), landmarks.means.copy(), landmarks.walls.copy())
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
@@ -199,20 +201,15 @@ class ISAM2:
         for k in updates:
             if not 0 <= k < self._poses:
                 raise KeyError(f"updates: found {k}, allowed: 0 to {self._poses - 1}")
-        poses = [self._pose_at(k) for k in updates]
-        return np.array([(pose.x, pose.y, pose.theta) for pose in poses], dtype=np.float64).reshape(-1, 3)
+        first = self._poses - len(self._unsolved.poses)
+        known = [k for k in updates if k < first]
+        solved = dict(zip(known, self._solution.poses_at(known), strict=True))
+        rows = [solved[k] if k < first else self._unsolved.poses[k - first].array() for k in updates]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def graph_error(self) -> float:
         """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
         return float(self._solver.isam.getFactorsUnsafe().error(self._solver.isam.calculateEstimate()))
-
-    @property
-    def _last_solved(self) -> int:
-        return int(X(self._poses - 1 - len(self._unsolved.poses)))
-
-    def _pose_at(self, k: int) -> Pose:
-        first = self._poses - len(self._unsolved.poses)
-        return self._solution.pose_at(k) if k < first else self._unsolved.poses[k - first]
 
     def _add_pose(self, guess: Pose) -> None:
         key = X(self._poses)
@@ -227,31 +224,32 @@ class ISAM2:
         self._poses += 1
         self._step = STANDSTILL
 
-    def _guess_by(self, link: Link) -> None:
-        """Set the initial value of a waiting pose by a link to it, which is better than the odometry's."""
+    def _guess_by(self, links: Sequence[Link]) -> None:
+        """Set the initial values of waiting poses by links to them, which are better than the odometry's."""
         first = self._poses - len(self._unsolved.poses)
-        if link.after < first or link.after in self._unsolved.guessed:
-            return
-        guess = self._pose_at(link.before) @ link.relative.motion
-        self._unsolved.guessed.add(link.after)
-        self._unsolved.poses[link.after - first] = guess
-        self._unsolved.values.update(X(link.after), to_pose2(guess))
+        for link in links:
+            if link.after >= first and link.after not in self._unsolved.guessed:
+                guess = Pose(*self.poses_at([link.before])[0].tolist()) @ link.relative.motion
+                self._unsolved.guessed.add(link.after)
+                self._unsolved.poses[link.after - first] = guess
+                self._unsolved.values.update(X(link.after), to_pose2(guess))
 
     def _solve_waiting(self, spare: Sequence[int] = (), gone: Sequence[int] = ()) -> list[int]:
         """Give the solver what waits, and take out spare poses and the factors `gone`; the factors of what waited."""
-        waiting = self._unsolved
-        joined = self._chain.take_out(spare, self._pose_at, self._head.wheels is not None)
-        for factor in joined.factors:
-            waiting.graph.add(factor)
+        waiting, joined = self._unsolved, Joined([], [], [])
+        if spare:
+            joined = self._chain.take_out(spare, self.poses_at, self._head.wheels is not None)
+            gone = [*gone, *joined.gone, *self._observations.drop_poses(spare)]
+            for factor in joined.factors:
+                waiting.graph.add(factor)
         last = None if waiting.poses else self._last_solved
-        gone = sorted([*gone, *joined.gone, *self._observations.drop_poses(spare)])
-        factors = self._solver.update(waiting.graph, waiting.values, gone, last)
-        self._chain.solved(joined.followers, factors[len(factors) - len(joined.followers) :])
-        for pose, (motion, at) in waiting.motions.items():
-            self._chain.add(pose, motion, factors[at])
+        factors = self._solver.update(waiting.graph, waiting.values, sorted(gone), last)
+        count = len(factors) - len(joined.followers)
+        self._chain.solved(waiting.motions, factors)
+        self._chain.renumbered(joined.followers, factors[count:])
         # New ones each time: a factor that is sent twice counts twice.
-        self._unsolved, self._pending = Unsolved(), self._step
-        return factors[: len(factors) - len(joined.followers)]
+        self._unsolved, self._pending, self._last_solved = Unsolved(), self._step, int(X(self._poses - 1))
+        return factors[:count]
 
     def _dropped(self, ids: Collection[int]) -> list[int]:
         """The factors of links, which are dropped, ascending; KeyError, before any is dropped, for an unknown one."""
@@ -294,7 +292,7 @@ class ISAM2:
         First observations are kept: without it a wall's frame could slide along the wall.
         """
         while True:
-            ids, means = self._landmarks.ids(), self._solution.landmarks().means
+            ids, means = self._landmarks.ids, self._solution.landmarks().means
             squared, factors = self._observations.squared_residuals(self.trajectory(), ids, means)
             if not len(squared) or squared.max() <= self._reject_gate:
                 return

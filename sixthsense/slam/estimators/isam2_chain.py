@@ -9,7 +9,7 @@ is less certain, and stays consistent, because poses are chosen by covariances a
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -21,7 +21,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import Observation, predict
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.core.se2 import compose
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_factors import motion_factor
 
@@ -47,7 +47,7 @@ class Joined(NamedTuple):
     followers: list[int]
     """the poses that followed them"""
     factors: list[gtsam.NonlinearFactor]
-    """of the motions to the followers, to be `solved`"""
+    """of the motions to the followers, to be `renumbered`"""
 
 
 class Chain:
@@ -63,38 +63,35 @@ class Chain:
         self._gone, self._motions = array("q"), array("d")
         """pairs of a pose that was taken out, ascending, and the one it is fixed to; x, y and theta from there"""
 
-    def add(self, pose: int, motion: Odometry, factor: int) -> None:
-        """Add a solved pose, whose motion from the pose before it has that factor."""
-        self._steps[pose] = _Step(pose - 1, motion, factor)
+    def solved(self, motions: Mapping[int, tuple[Odometry, int]], factors: Sequence[int]) -> None:
+        """Add solved poses, each with its motion from the pose before it, and the place of that one's factor."""
+        for pose, (motion, at) in motions.items():
+            self._steps[pose] = _Step(pose - 1, motion, factors[at])
 
     def spare(self, pose: int) -> None:
         """Take in that a pose adds nothing."""
         self._spare.append(pose)
 
-    def keep(self, poses: Collection[int]) -> None:
-        """Take in that these poses stay."""
-        self._spare = [pose for pose in self._spare if pose not in poses]
-
     def due(self) -> list[int]:
         """The pose to take out next, if there is one."""
         return self._spare[:1] if len(self._spare) > _WINDOW else []
 
-    def take_out(self, poses: Sequence[int], pose_at: Callable[[int], Pose], with_wheels: bool) -> Joined:
+    def take_out(self, poses: Sequence[int], poses_at: Callable[[Sequence[int]], Array], with_wheels: bool) -> Joined:
         """Take solved poses out, ascending and after those of earlier calls, whose next ones are solved, too.
 
-        `pose_at` is of the present solution.
+        `poses_at` is of the present solution.
         """
         gone: list[int] = []
         for pose in poses:
             step, after = self._steps[pose], self._steps[pose + 1]
-            relative = pose_at(step.before).inverse() @ pose_at(pose)
+            relative = between(*poses_at([step.before, pose]))
             del self._steps[pose]
             gone += [factor for factor in (step.factor, after.factor) if factor != NONE]
             self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), NONE)
             # The pose has at most the uncertainty of the motion from its anchor.
-            self._relative[pose] = step.before, Odometry(relative, step.motion.cov)
+            self._relative[pose] = step.before, Odometry(Pose(*relative.tolist()), step.motion.cov)
             self._gone.extend((pose, step.before))
-            self._motions.extend(relative.array())
+            self._motions.extend(relative)
         out = set(poses)
         self._spare = [pose for pose in self._spare if pose not in out]
         followers = [pose + 1 for pose in poses if pose + 1 not in out]
@@ -110,7 +107,7 @@ class Chain:
                 raise KeyError(f"updates: found {pose}, allowed: ascending, after {least}, and before the last")
             least = pose
 
-    def solved(self, poses: Sequence[int], factors: Sequence[int]) -> None:
+    def renumbered(self, poses: Sequence[int], factors: Sequence[int]) -> None:
         """Take in the numbers of the factors of the motions to some poses."""
         for pose, factor in zip(poses, factors, strict=True):
             self._steps[pose] = self._steps[pose]._replace(factor=factor)
@@ -119,13 +116,28 @@ class Chain:
         """The pose in the graph that a pose is fixed to, itself if it was not taken out, and where it is from there."""
         return self._relative.get(pose, (pose, STANDSTILL))
 
-    def attached(self, link: Link) -> Link:
-        """A link between the poses in the graph that its poses are fixed to."""
-        (before, to_before), (after, to_after) = self.anchored(link.before), self.anchored(link.after)
-        if before == link.before and after == link.after:
-            return link
-        back = to_after if to_after is STANDSTILL else to_after.inverse()
-        return Link(before, after, to_before.then(link.relative).then(back), link.loss_scale)
+    def attached(self, links: Sequence[Link]) -> list[Link]:
+        """Links between the poses in the graph that their poses are fixed to; those that they name stay."""
+        if self._spare:
+            named = {pose for link in links for pose in (link.before, link.after)}
+            self._spare = [pose for pose in self._spare if pose not in named]
+        if not self._relative:
+            return list(links)
+        found = []
+        for link in links:
+            (before, to_before), (after, to_after) = self.anchored(link.before), self.anchored(link.after)
+            if before != link.before or after != link.after:
+                back = to_after if to_after is STANDSTILL else to_after.inverse()
+                link = Link(before, after, to_before.then(link.relative).then(back), link.loss_scale)
+            found.append(link)
+        return found
+
+    def in_graph(self, poses: Sequence[int]) -> tuple[list[int], Array | None]:
+        """The poses in the graph that some are fixed to, and (m, 3) where they are from there; None: at these."""
+        if not any(pose in self._relative for pose in poses):
+            return list(poses), None
+        found = [self.anchored(pose) for pose in poses]
+        return [anchor for anchor, _ in found], np.array([motion.motion.triple() for _, motion in found])
 
     def all_poses(self, kept: Array) -> Array:
         """(K, 3) all poses, of those (m, 3) that are in the graph."""

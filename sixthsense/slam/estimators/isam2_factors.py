@@ -16,7 +16,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import gtsam
+import numba
 import numpy as np
+from gtsam.symbol_shorthand import X
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import root_information
@@ -24,6 +26,7 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.se2 import turned_covariance, whitening
 from sixthsense.core.sensor import Sensor
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
@@ -45,7 +48,20 @@ def to_pose2(pose: Pose) -> gtsam.Pose2:
 
 def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
     """The noise of a motion, in the axes of the frame after, as GTSAM has it."""
-    return noise_of(floored(motion.cov_after()))
+    root = _roots(motion.cov[None], np.array([motion.motion.theta]))[0]
+    return gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _roots(covs: Array, turns: Array) -> Array:
+    """(m, 3, 3) roots of the informations of motions that turn by (m,), axes after; `covs` (m, 3, 3) axes before."""
+    out = np.empty((len(covs), 3, 3))
+    for k in range(len(covs)):
+        cov = turned_covariance(covs[k], -turns[k])
+        for i in range(3):
+            cov[i, i] += _FLOOR**2
+        out[k] = whitening(cov)
+    return out
 
 
 def floored(cov: Array) -> Array:
@@ -76,12 +92,17 @@ def with_loss(noise: gtsam.noiseModel.Gaussian, loss: Loss | None) -> gtsam.nois
     return noise if loss is None else gtsam.noiseModel.Robust.Create(loss, noise)
 
 
-def link_factor(before: int, after: int, link: Link) -> gtsam.NonlinearFactor:
-    """The factor of a link between the variables with these keys."""
-    noise: gtsam.noiseModel.Base = gaussian(link.relative)
-    if math.isfinite(link.loss_scale):
-        noise = gtsam.noiseModel.Robust.Create(_cauchy(link.loss_scale), noise)
-    return gtsam.BetweenFactorPose2(before, after, to_pose2(link.relative.motion), noise)
+def link_factors(links: Sequence[Link]) -> list[gtsam.NonlinearFactor]:
+    """The factors of links between the poses of their updates."""
+    turns = np.array([link.relative.motion.theta for link in links])
+    factors: list[gtsam.NonlinearFactor] = []
+    for link, root in zip(links, _roots(np.array([link.relative.cov for link in links]), turns), strict=True):
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+        if math.isfinite(link.loss_scale):
+            noise = gtsam.noiseModel.Robust.Create(_cauchy(link.loss_scale), noise)
+        motion = gtsam.Pose2(*link.relative.motion.triple())
+        factors.append(gtsam.BetweenFactorPose2(X(link.before), X(link.after), motion, noise))
+    return factors
 
 
 @functools.lru_cache(maxsize=16)

@@ -6,9 +6,9 @@ they are asked for: reading takes longer than most updates.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal, cast
 
 import gtsam
 import numpy as np
@@ -20,7 +20,7 @@ from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.parameters import P, ParameterEstimate
-from sixthsense.core.se2 import composed_covariance, turned_covariance
+from sixthsense.core.se2 import compose, composed_covariance, turned_covariance
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators.base import check_parameters
@@ -55,7 +55,10 @@ class Landmarks:
     """Landmarks and their variables in the graph, in the order of the first observation."""
 
     keys: dict[LandmarkId, int] = field(default_factory=dict)
-    is_wall: dict[LandmarkId, bool] = field(default_factory=dict)
+    ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """(n,)"""
+    walls: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    """(n,) which of them are walls"""
     by_tangent: dict[LandmarkId, Array] = field(default_factory=dict)
     """(2, 3) or (2, 2) Jacobian of a landmark by its variable's tangent in GTSAM"""
     stretches: dict[tuple[LandmarkId, int], int] = field(default_factory=dict)
@@ -75,7 +78,8 @@ class Landmarks:
 
     def next_key(self, i: LandmarkId, is_wall: bool) -> int:
         """The key of a landmark that is new."""
-        self.keys[i], self.is_wall[i] = int(W(self.made) if is_wall else L(self.made)), is_wall
+        self.keys[i] = int(W(self.made) if is_wall else L(self.made))
+        self.ids, self.walls = np.append(self.ids, i), np.append(self.walls, is_wall)
         self.made += 1
         return self.keys[i]
 
@@ -87,22 +91,13 @@ class Landmarks:
 
     def drop(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks."""
-        if len(self.means) == len(self.keys):
-            self.means = self.means[~np.isin(self.ids(), list(ids))]
+        is_kept = ~np.isin(self.ids, list(ids))
+        if len(self.means) == len(self.ids):
+            self.means = self.means[is_kept]
+        self.ids, self.walls = self.ids[is_kept], self.walls[is_kept]
         for i in ids:
-            del self.keys[i], self.is_wall[i]
+            del self.keys[i]
         self.stretches = {at: key for at, key in self.stretches.items() if at[0] in self.keys}
-
-    def ids(self) -> NDArray[np.int64]:
-        """(n,) of the landmarks."""
-        return np.array(list(self.keys), dtype=np.int64)
-
-    def walls(self) -> NDArray[np.bool_]:
-        """(n,) which of them are walls."""
-        return np.array(list(self.is_wall.values()), dtype=np.bool_)
-
-
-T = TypeVar("T")
 
 
 class Solver:
@@ -159,20 +154,15 @@ class Solver:
             self.iterate()
             linearized = solved
 
-    def covariance(self, key: int) -> Array:
-        """Marginal covariance of a variable, in its own tangent."""
-        return np.asarray(self._query(lambda: self.isam.marginalCovariance(key)))
-
-    def joint_covariance(self, keys: Sequence[int]) -> Array:
+    def covariance(self, keys: Sequence[int]) -> Array:
         """Joint marginal covariance of variables in the order asked, each in its own tangent."""
-        return np.asarray(self._query(lambda: self.isam.jointMarginalCovariance(list(keys)).fullMatrix()))
-
-    def _query(self, query: Callable[[], T]) -> T:
-        try:
-            return query()
-        except RuntimeError:
-            self._switch_to_qr()
-            return query()
+        while True:
+            try:
+                if len(keys) == 1:
+                    return np.ascontiguousarray(self.isam.marginalCovariance(keys[0]))
+                return np.asarray(self.isam.jointMarginalCovariance(list(keys)).fullMatrix())
+            except RuntimeError:
+                self._switch_to_qr()  # which raises it where QR has failed, too
 
     def _switch_to_qr(self) -> int:
         """Move all factors to a solver that uses QR; how many there were so far, removed ones included."""
@@ -241,7 +231,7 @@ class Head:
         if of is Wheels:
             found = None if self.wheels is None else ParameterEstimate(self.wheels, self.cov()[3:, 3:].copy())
         elif self.sensor is not None and self.is_solved:
-            found = ParameterEstimate(self.sensor, self._solver.covariance(SENSOR))
+            found = ParameterEstimate(self.sensor, self._solver.covariance([SENSOR]))
         return cast("ParameterEstimate[P] | None", found)
 
     def update(self, last: int) -> None:
@@ -256,16 +246,14 @@ class Head:
     def cov(self) -> Array:
         """(3, 3) of the pose, or (8, 8) with the wheels' parameters, world frame."""
         if not self._has_cov:
-            self._cov, self._has_cov = self._read_cov(), True
+            self._cov, self._has_cov = self._solver.covariance(self.keys()), True
+            if self.wheels is None:
+                self._cov = turned_covariance(self._cov, self.pose.theta)
+            else:
+                to_world = self.to_world()
+                cov = to_world @ self._cov @ to_world.T
+                self._cov = 0.5 * (cov + cov.T)
         return self._cov
-
-    def _read_cov(self) -> Array:
-        if self.wheels is None:
-            cov = np.ascontiguousarray(self._solver.covariance(self._last))
-            return np.asarray(turned_covariance(cov, self.pose.theta))
-        to_world = self.to_world()
-        cov = to_world @ self._solver.joint_covariance(self.keys()) @ to_world.T
-        return np.asarray(0.5 * (cov + cov.T))
 
     @property
     def is_solved(self) -> bool:
@@ -290,8 +278,12 @@ class Head:
 
         `joint` (n + 2k, n + 2k) is that of the head's n values and the landmarks.
         """
+        if len(joint) == 3 and pending is STANDSTILL:
+            return joint.copy()
         if len(joint) == 3:
-            return self._propagated_pose(joint, pending)
+            to = pending.motion
+            moved = composed_covariance(joint, pending.cov, self.pose.theta, to.x, to.y)
+            return np.asarray(0.5 * (moved + moved.T))
         head = len(self._cov)
         kept = np.concatenate([np.arange(3), np.arange(head, len(joint))])
         if pending is STANDSTILL:
@@ -307,13 +299,6 @@ class Head:
         moved[:, :3] = moved[:, :head] @ by_head.T
         moved[:3, :3] += by_motion @ motion.cov @ by_motion.T
         moved = moved[np.ix_(kept, kept)]
-        return np.asarray(0.5 * (moved + moved.T))
-
-    def _propagated_pose(self, cov: Array, pending: Odometry) -> Array:
-        """As `propagated`, of the pose (3, 3) alone."""
-        if pending is STANDSTILL:
-            return cov.copy()
-        moved = composed_covariance(cov, pending.cov, self.pose.theta, pending.motion.x, pending.motion.y)
         return np.asarray(0.5 * (moved + moved.T))
 
 
@@ -341,12 +326,14 @@ class Solution:
         self._has_read, self._poses, self._rows = False, None, {}
         self._head.update(last)
 
-    def pose_at(self, k: int) -> Pose:
-        """The pose of update k, which is solved."""
+    def poses_at(self, updates: Sequence[int]) -> Array:
+        """(m, 3) the poses of updates that are solved."""
         if self._poses is not None:
-            return Pose.from_array(self._poses[k])
-        anchor, relative = self._chain.anchored(k)
-        return to_pose(self._solver.isam.calculateEstimatePose2(X(anchor))) @ relative.motion
+            return self._poses[list(updates)]
+        anchors, motions = self._chain.in_graph(updates)
+        found = [self._solver.isam.calculateEstimatePose2(X(k)) for k in anchors]
+        poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in found]).reshape(-1, 3)
+        return poses if motions is None else compose(poses, motions)
 
     def poses(self) -> Array:
         """(K, 3) all solved poses."""
@@ -369,7 +356,7 @@ class Solution:
             return self._head.propagated(cov, pending)
         # GTSAM answers in the order of the query, each variable in its own tangent.
         to_world, of_head = [landmarks.by_tangent[i] for i in ids], self._head.is_solved
-        joint = self._solver.joint_covariance([*self._head.keys(), *keys] if of_head else keys)
+        joint = self._solver.covariance([*self._head.keys(), *keys] if of_head else keys)
         to_axes = diagonal([*([self._head.to_world()] if of_head else []), *to_world])
         joint = to_axes @ joint @ to_axes.T
         if not of_head:  # landmarks of an earlier run, and the start
@@ -388,26 +375,27 @@ class Solution:
         landmarks, joint = self.landmarks(), self._joint[np.ix_(asked, asked)]
         row = {i: k for k, i in enumerate(landmarks.keys)}
         rows = [row[i] for i in observations]
-        return map_gain(pose, joint, landmarks.means[rows], landmarks.walls()[rows], list(observations.values()))
+        return map_gain(pose, joint, landmarks.means[rows], landmarks.walls[rows], list(observations.values()))
 
     def _read(self) -> None:
         """Read poses and landmarks from the solver, if they are not those of the last solution."""
         if self._has_read:
             return
-        landmarks = self._landmarks
-        values = self._solver.isam.calculateEstimate()
-        frames = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
-        points = np.zeros((0, 2))
-        is_wall = landmarks.walls()
-        if len(is_wall):
-            points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
-            points = points[: np.count_nonzero(~is_wall)]  # GTSAM adds empty rows for vectors of another size: wheels
+        landmarks, values = self._landmarks, self._solver.isam.calculateEstimate()
+        self._in_graph = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
+        self._has_read = True
+        is_wall = landmarks.walls
+        if not len(is_wall):
+            return
+        points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
         # In the order of their keys: the letters of apparent walls, of walls and of poses, then the number.
         apparent = len(landmarks.stretches)
-        _, walls, self._in_graph = np.split(frames, [apparent, apparent + np.count_nonzero(is_wall)])
+        _, walls, self._in_graph = np.split(self._in_graph, [apparent, apparent + np.count_nonzero(is_wall)])
         means, axes = lines(walls)
         landmarks.means = np.empty((len(is_wall), 2))
-        landmarks.means[is_wall], landmarks.means[~is_wall] = means, points
+        # GTSAM adds empty rows to the points for vectors of another size: wheels.
+        landmarks.means[is_wall], landmarks.means[~is_wall] = means, points[: np.count_nonzero(~is_wall)]
         of_walls = iter(axes)
-        landmarks.by_tangent = {i: next(of_walls) if wall else _POINT for i, wall in landmarks.is_wall.items()}
-        self._has_read = True
+        landmarks.by_tangent = {
+            i: next(of_walls) if wall else _POINT for i, wall in zip(landmarks.keys, is_wall.tolist(), strict=True)
+        }
