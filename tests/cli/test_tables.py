@@ -45,7 +45,8 @@ class CaughtError(InputError):
 @pytest.fixture
 def settings(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Config]:
     """The configuration with which a command line begins to work."""
-    import sixthsense.api  # noqa: F401, it takes the functions before they are replaced
+    import sixthsense.api  # they take the functions before these are replaced
+    import sixthsense.running.merging  # noqa: F401
 
     found: list[Config] = []
 
