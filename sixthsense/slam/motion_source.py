@@ -19,7 +19,7 @@ import numpy as np
 from sixthsense.config import AssumedConfig, Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.names import NEEDS_FILTER
-from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.geometry import Pose, rotation, wrap_angle
 from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.source import Tick
@@ -29,7 +29,8 @@ from sixthsense.slam.estimators import Estimator, Filter
 # Sigmas grow with the way, not with its square root.
 _SIGMA_M, WHEELS_M_PER_M = 0.01, 0.05
 _SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
-_UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the load and the tyres change
+UNSTEADY = 0.4
+"""share of these that no parameter describes: the floor, the load and the tyres change"""
 
 
 class MotionSource(Protocol):
@@ -63,10 +64,6 @@ class MotionSource(Protocol):
         """The motion since the last keyframe as the estimator is given it after the last tick."""
         ...
 
-    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
-        """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
-        ...
-
 
 class ByWheels:
     """Wheels have measured the motion."""
@@ -98,9 +95,6 @@ class ByWheels:
         """The motion by the wheels."""
         return since
 
-    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
-        """Nothing is kept."""
-
 
 class CalibratedWheels(ByWheels):
     """Wheels whose parameters the estimator estimates: increments are those of the newest values."""
@@ -118,38 +112,27 @@ class CalibratedWheels(ByWheels):
 
     def for_tracking(self, since: Odometry) -> Odometry:
         """The motion with the errors that the estimate of the parameters leaves."""
-        return with_wheel_errors(since, self._estimate)
+        if self._estimate is None or since.wheels is None:
+            return with_wheel_errors(since)
+        unsteady, jacobian = with_wheel_errors(since, UNSTEADY), since.wheels.jacobian
+        return Odometry(since.motion, unsteady.cov + jacobian @ self._estimate.cov @ jacobian.T)
 
     def for_estimator(self, since: Odometry) -> Odometry:
         """The motion with the errors that no parameter describes."""
-        return with_unsteady_errors(since)
+        return with_wheel_errors(since, UNSTEADY)
 
-    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
-        """Use the newest parameters from now on."""
-        self._estimate = wheels
-        if wheels is not None:
-            self._odometry.wheels = wheels.values
+    def use(self, wheels: ParameterEstimate[Wheels]) -> None:
+        """Use these parameters from now on."""
+        self._estimate, self._odometry.wheels = wheels, wheels.values
 
 
-def with_wheel_errors(odometry: Odometry, wheels: ParameterEstimate[Wheels] | None = None) -> Odometry:
-    """Odometry whose covariance has the wheels' errors added: those of their estimate, or else of any wheels."""
-    if wheels is None or odometry.wheels is None:
-        return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, 1.0))
-    unsteady, jacobian = with_unsteady_errors(odometry), odometry.wheels.jacobian
-    return Odometry(odometry.motion, unsteady.cov + jacobian @ wheels.cov @ jacobian.T)
-
-
-def with_unsteady_errors(odometry: Odometry) -> Odometry:
-    """Odometry that depends on wheels which are estimated, with the errors added that their parameters leave."""
-    return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, _UNSTEADY), odometry.wheels)
-
-
-def _errors(motion: Pose, share: float) -> Array:
-    """(3, 3) covariance of a motion by a share of what wheels in general are wrong by."""
+def with_wheel_errors(odometry: Odometry, share: float = 1.0) -> Odometry:
+    """Odometry whose covariance has a share of the errors added that wheels in general have."""
+    motion = odometry.motion
     distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
     position = (_SIGMA_M + share * WHEELS_M_PER_M * distance) ** 2
     heading = (_SIGMA_RAD + share * _RAD_PER_RAD * turn + share * _RAD_PER_M * distance) ** 2
-    return np.diag([position, position, heading])
+    return Odometry(motion, odometry.cov + np.diag([position, position, heading]), odometry.wheels)
 
 
 _SIGMAS = np.array([1.0, 1.0, 1.0])  # m/s, m/s, rad/s: somebody who walks, and looks around
@@ -287,18 +270,15 @@ class LastVelocity:
         factors = np.sqrt(1.0 + age_s / self._since_key_s)
         return Odometry(since.motion, since.cov * np.outer(factors, factors))
 
-    def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
-        """Begin anew at a keyframe; there are no wheels."""
-        self._begin_anew()
-
-    def _begin_anew(self) -> None:
+    def begin_anew(self) -> None:
+        """Take in that the motion begins anew, at a keyframe."""
         self._cross, self._since_key_s = np.zeros((3, 3)), 0.0
 
     def lost(self) -> None:
         """Take in that scan matching has found no motion."""
         self._velocity, self._cov = np.zeros(3), np.diag(_SIGMAS**2)
         self._stated_s = self._predicted_s = 0.0
-        self._begin_anew()
+        self.begin_anew()
 
 
 class Motion:
@@ -327,9 +307,10 @@ class Motion:
 
     def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
-        if self._wheels is not None:
-            self._wheels.at_keyframe(wheels)
-        self._velocity.at_keyframe(wheels)
+        if wheels is not None and isinstance(self._wheels, CalibratedWheels):
+            self._wheels.use(wheels)
+        if self.present is self._velocity:
+            self._velocity.begin_anew()
 
 
 def make_motion(config: Config, estimator: Estimator) -> Motion:

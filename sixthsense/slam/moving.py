@@ -37,16 +37,11 @@ class Moving(NamedTuple):
 
     points_robot: Array
     """(M, 2) metres, robot's frame"""
-    stands: NDArray[np.bool_]
-    """(M,) whether it has been there for some seconds"""
-
-    @property
-    def standing_robot(self) -> Array:
-        """(K, 2) the returns of what stands, robot's frame."""
-        return self.points_robot[self.stands]
+    standing_robot: Array
+    """(K, 2) those of what has been there for some seconds"""
 
 
-NOTHING_MOVES = Moving(np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
+NOTHING_MOVES = Moving(np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 class View(NamedTuple):
@@ -122,9 +117,8 @@ class MovingReturns:
         count = np.count_nonzero(moving)
         if count == 0 or count > _MOST_SHARE * np.count_nonzero(returned):
             return scan, NOTHING_MOVES
-        return replace(scan, ranges=np.where(moving, np.float32(np.nan), scan.ranges)), Moving(
-            points_robot[moving], ~recent[moving]
-        )
+        still = replace(scan, ranges=np.where(moving, np.float32(np.nan), scan.ranges))
+        return still, Moving(points_robot[moving], points_robot[moving & ~recent])
 
     def keep(self, scan: Scan, T_world_robot: Pose, stamp_ns: int) -> None:
         """Compare later scans with this one, too, which was split last, from its pose as it is estimated now.

@@ -23,38 +23,27 @@ nothing tells it, so that it only adds to the covariance."""
 
 
 class SensorCalibration:
-    """Corrects observations for their sensor's errors, and reports the uncertainty of its scale, if configured."""
+    """Corrects observations for their sensor's errors, and reports the uncertainty of its scale."""
 
     def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
-        """Raises InputError for an estimator that cannot estimate the sensor, if it is to."""
-        self._start = start
-        self._estimator: Filter | None = None
-        """where the sensor is estimated"""
-        self._sensor: Sensor | None = None
-        self._scale_variance = 0.0
-        if config.calibrate_sensor:
-            if not isinstance(estimator, Filter):
-                raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
-            prior = sensor_prior()
-            estimator.calibrate(prior)
-            self._estimator = estimator
-            self._sensor = prior.values
-            self._scale_variance = SCALE_SIGMA**2
+        """Raises InputError for an estimator that cannot estimate the sensor."""
+        if not isinstance(estimator, Filter):
+            raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
+        prior = sensor_prior()
+        estimator.calibrate(prior)
+        self._start, self._estimator, self._sensor = start, estimator, prior.values
+        self._scale_variance = SCALE_SIGMA**2
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
-        """The sensor's parameters, if they are estimated."""
-        return None if self._estimator is None else self._estimator.calibration(Sensor)
+        """The sensor's parameters."""
+        return self._estimator.calibration(Sensor)
 
     def corrected(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """Observations as the present parameters have them."""
-        if self._sensor is None:
-            return observations
         return {i: observation.with_sensor(self._sensor) for i, observation in observations.items()}
 
     def keyframe(self, keyframe: Keyframe) -> Keyframe:
         """The keyframe with its estimate as `reported`; the sensor's newest parameters are used from now on."""
-        if self._sensor is None:
-            return keyframe
         found = self.sensor()
         self._sensor = self._sensor if found is None else found.values
         return dataclasses.replace(keyframe, estimate=self.reported(keyframe.estimate))
@@ -64,16 +53,12 @@ class SensorCalibration:
 
         The map is as large as the sensor sees it. A wrong scale moves all away from the start, or towards it.
         """
-        if not self._scale_variance:
-            return estimate
         cov = estimate.pose_cov.copy()
         cov[:2, :2] += self._of_scale(estimate.pose.position)
         return dataclasses.replace(estimate, pose_cov=cov)
 
     def reported_joint(self, estimate: Estimate, cov: Array) -> Array:
         """`cov` (3 + 2n, 3 + 2n) of the pose and all landmarks, which are points, with the same uncertainty."""
-        if not self._scale_variance:
-            return cov
         places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
         index = np.delete(np.arange(len(cov)), 2)
         out = cov.copy()

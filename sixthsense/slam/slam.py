@@ -82,7 +82,7 @@ class Slam:
         self._motion = make_motion(config, self.estimator)
         self._deskew = Deskewer(config.features.deskew)
         self._moving = MovingReturns(config.grid.no_return_passes) if config.people else None
-        self._sensor = SensorCalibration(config, self.estimator, self._start)
+        self._sensor = SensorCalibration(config, self.estimator, self._start) if config.calibrate_sensor else None
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
             begin_with(prior_map, config, self.estimator, self._start, cov)
@@ -91,7 +91,7 @@ class Slam:
         self._front_end = make_front_end(*args)
         self._last: Tick | None = None
         self._T_world_odom = self._start
-        self._estimate = self._sensor.reported(self.estimator.estimate())
+        self._estimate = self._reported(self.estimator.estimate())
         self._loop_closures: LoopClosureCounts | None = None
         self._result: SlamResult | None = None
         self._blas = threadpool_limits(limits=1, user_api="blas")
@@ -117,20 +117,24 @@ class Slam:
             increment = self._increment(tick)
             self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
             scan = None if tick.scan is None else self._deskew(tick.scan)
-        still, moving = self._without_moving(scan, increment, tick.stamp_ns)
-        observations = self._sensor.corrected(tick.observations or {})
-        keyframe = self._front_end.take(
-            Evidence(self._placed(scan, increment), scan, still, observations, tick.closures)
-        )
+        placed, still, moving, observations = increment, scan, NOTHING_MOVES, tick.observations or {}
+        if scan is not None and self._moving is not None:
+            still, moving = self._without_moving(self._moving, scan, increment, tick.stamp_ns)
+        if scan is not None and self._unplaced is not None:
+            placed = self._placed(scan, increment)
+        if self._sensor is not None:
+            observations = self._sensor.corrected(observations)
+        keyframe = self._front_end.take(Evidence(placed, scan, still, observations, tick.closures))
         if keyframe is not None:
             keyframe = self._taken(keyframe)
             if still is not None:
                 with self._clock("grid"):
                     self._add_to_map(still, keyframe, moving)
+        pose, since, grid = self._front_end.pose, self._front_end.since, self._mapper.grid
         if scan is not None and self._moving is not None:
-            self._moving.keep(scan, self.pose, tick.stamp_ns)
-        dead_reckoned, since = self._T_world_odom @ tick.odometry, self._front_end.since
-        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid, moving)
+            self._moving.keep(scan, pose, tick.stamp_ns)
+        dead_reckoned = self._T_world_odom @ tick.odometry
+        return Step(tick.stamp_ns, pose, dead_reckoned, increment, since, scan, keyframe, grid, moving)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -181,21 +185,23 @@ class Slam:
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The parameters of the sensor of points at the last keyframe, if they are estimated."""
-        return self._sensor.sensor()
+        return None if self._sensor is None else self._sensor.sensor()
 
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
             finished = self._front_end.finish()
-            estimate = self._estimate = self._sensor.reported(finished.estimate)
+            estimate = self._estimate = self._reported(finished.estimate)
             joint = self.estimator.joint_covariance(estimate.ids.tolist())
             # Links of scans have private errors, which the estimator does not know of.
             joint[:3, :3] = finished.estimate.pose_cov
+            if self._sensor is not None:
+                joint = self._sensor.reported_joint(estimate, joint)
             trajectory = self.trajectory()
             self._mapper.complete(trajectory)
             self._result = SlamResult(
                 estimate,
-                self._sensor.reported_joint(estimate, joint),
+                joint,
                 trajectory,
                 self.associator.records,
                 self.associator.culled,
@@ -226,33 +232,34 @@ class Slam:
         return self._motion.increment(last.odometry, tick, duration_s, self._front_end.since.motion)
 
     def _without_moving(
-        self, scan: Scan | None, increment: Odometry | None, stamp_ns: int
-    ) -> tuple[Scan | None, Moving]:
-        """The scan without the returns of what moves, if people may, and these.
+        self, returns: MovingReturns, scan: Scan, increment: Odometry | None, stamp_ns: int
+    ) -> tuple[Scan, Moving]:
+        """The scan without the returns of what moves, and these.
 
         For the map and for scan matching: features take moving legs for what they are, something that hides a wall.
         """
-        if scan is None or self._moving is None:
-            return scan, NOTHING_MOVES
-        return self._moving.split(scan, self.pose @ (increment or STANDSTILL).motion, stamp_ns)
+        return returns.split(scan, self.pose @ (increment or STANDSTILL).motion, stamp_ns)
 
-    def _placed(self, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
-        """The increment; at the first scan also the motion from there to where the scan fits the prior map."""
-        if scan is None or self._unplaced is None:
-            return increment
+    def _placed(self, scan: Scan, increment: Odometry | None) -> Odometry | None:
+        """The increment to the first scan, and the motion from there to where it fits the prior map."""
         from sixthsense.slam.start_search import located
 
+        assert self._unplaced is not None
         (prior_map, cov), self._unplaced = self._unplaced, None
         motion = increment or STANDSTILL
         here = self.pose @ motion.motion
         found = located(scan, prior_map, here, cov, self.config.grid)
         return increment if found == here else motion.then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
 
+    def _reported(self, estimate: Estimate) -> Estimate:
+        return estimate if self._sensor is None else self._sensor.reported(estimate)
+
     def _taken(self, keyframe: Keyframe) -> Keyframe:
         """A keyframe with its covariance as it is reported; the calibrations' newest values are used from now on."""
-        keyframe = self._sensor.keyframe(keyframe)
+        if self._sensor is not None:
+            keyframe = self._sensor.keyframe(keyframe)
         self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures
-        self._motion.at_keyframe(self.wheels())
+        self._motion.at_keyframe(self.wheels() if self.config.calibrate_wheels else None)
         return keyframe
 
     def _add_to_map(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
@@ -260,7 +267,7 @@ class Slam:
         if self.config.grid.walls:
             gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, 2.0 * self._radius_m)
             walls = np.concatenate([walls, gaps])
-        self._mapper.add(keyframe.index, self.trajectory, scan, walls, moving.standing_robot)
+        self._mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
         if self._draws_map:
             self._mapper.draw()
 

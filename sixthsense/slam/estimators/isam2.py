@@ -110,7 +110,7 @@ class ISAM2:
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Add the present pose and the observations from it; solve if there are any."""
-        guess = self._head.pose @ self._head.motion(self._pending).motion
+        guess = self._head.after(self._pending)
         if not observations:
             self._add_pose(guess)
             return
@@ -183,8 +183,7 @@ class ISAM2:
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
-        pose = self._head.pose @ self._head.motion(self._pending).motion
-        cov = self._head.propagated(self._head.cov(), self._pending)
+        pose, cov = self._head.after(self._pending), self._head.propagated(self._head.cov(), self._pending)
         landmarks = self._solution.landmarks()
         return Estimate(pose, cov, landmarks.ids.copy(), landmarks.means.copy(), landmarks.walls.copy())
 
@@ -246,7 +245,8 @@ class ISAM2:
         factors = self._solver.update(waiting.graph, waiting.values, sorted(gone), last)
         count = len(factors) - len(joined.followers)
         self._chain.solved(waiting.motions, factors)
-        self._chain.renumbered(joined.followers, factors[count:])
+        if joined.followers:
+            self._chain.renumbered(joined.followers, factors[count:])
         # New ones each time: a factor that is sent twice counts twice.
         self._unsolved, self._pending, self._last_solved = Unsolved(), self._step, int(X(self._poses - 1))
         return factors[:count]

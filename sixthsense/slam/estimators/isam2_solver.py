@@ -209,8 +209,8 @@ class Head:
         """at the last solution, if its parameters are estimated"""
         self._sensor_prior: ParameterEstimate[Sensor] | None = None
         self._solver, self._cov = solver, cov
-        self._last = 0
-        """key of the last solved pose"""
+        self.keys: list[int] = []
+        """of its variables, of which the first is the last solved pose; empty until there is a solution"""
         self._has_cov = True
         """whether the covariance is that of the last solution"""
 
@@ -236,7 +236,7 @@ class Head:
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""
-        self._last, self._has_cov = last, False
+        self.keys, self._has_cov = [last] if self.wheels is None else [last, WHEELS], False
         self.pose = to_pose(self._solver.isam.calculateEstimatePose2(last))
         if self.wheels is not None:
             self.wheels = Wheels.from_array(self._solver.isam.calculateEstimateVector(WHEELS))
@@ -246,7 +246,7 @@ class Head:
     def cov(self) -> Array:
         """(3, 3) of the pose, or (8, 8) with the wheels' parameters, world frame."""
         if not self._has_cov:
-            self._cov, self._has_cov = self._solver.covariance(self.keys()), True
+            self._cov, self._has_cov = self._solver.covariance(self.keys), True
             if self.wheels is None:
                 self._cov = turned_covariance(self._cov, self.pose.theta)
             else:
@@ -258,20 +258,17 @@ class Head:
     @property
     def is_solved(self) -> bool:
         """Whether the pose is a variable of the solver; until then it is the start."""
-        return self._last != 0
-
-    def keys(self) -> list[int]:
-        """Keys of the variables."""
-        return [self._last] if self.wheels is None else [self._last, WHEELS]
+        return bool(self.keys)
 
     def to_world(self) -> Array:
         """From GTSAM's tangents of these variables to the axes of `cov`."""
         turn = Pose(theta=self.pose.theta).adjoint()
         return turn if self.wheels is None else diagonal([turn, np.eye(PARAMETERS)])
 
-    def motion(self, pending: Odometry) -> Odometry:
-        """A motion for the present parameters of the wheels."""
-        return pending if self.wheels is None else pending.with_wheels(self.wheels)
+    def after(self, pending: Odometry) -> Pose:
+        """The pose after a motion, for the present parameters of the wheels."""
+        motion = pending if self.wheels is None else pending.with_wheels(self.wheels)
+        return self.pose @ motion.motion
 
     def propagated(self, joint: Array, pending: Odometry) -> Array:
         """Joint covariance (3 + 2k, 3 + 2k) of the pose after the motion `pending`, and of k landmarks; a copy.
@@ -288,7 +285,7 @@ class Head:
         kept = np.concatenate([np.arange(3), np.arange(head, len(joint))])
         if pending is STANDSTILL:
             return np.asarray(joint[np.ix_(kept, kept)])
-        motion = self.motion(pending)
+        motion = pending if self.wheels is None else pending.with_wheels(self.wheels)
         by_pose, by_motion = compose_jacobians(self.pose.theta, motion.motion)
         by_head = np.zeros((3, head))
         by_head[:, :3] = by_pose
@@ -356,7 +353,7 @@ class Solution:
             return self._head.propagated(cov, pending)
         # GTSAM answers in the order of the query, each variable in its own tangent.
         to_world, of_head = [landmarks.by_tangent[i] for i in ids], self._head.is_solved
-        joint = self._solver.covariance([*self._head.keys(), *keys] if of_head else keys)
+        joint = self._solver.covariance([*self._head.keys, *keys] if of_head else keys)
         to_axes = diagonal([*([self._head.to_world()] if of_head else []), *to_world])
         joint = to_axes @ joint @ to_axes.T
         if not of_head:  # landmarks of an earlier run, and the start

@@ -120,7 +120,7 @@ class ScanFrontEnd:
         if not (is_new or is_due(moved, self._since, self._config.keyframes)):
             self._since = found
             if self._has_final_pass:
-                self._scans.append(TrackedScan(scan, self.newest, self._since, moved))
+                self._scans.append(TrackedScan(scan, self._graph.count - 1, self._since, moved))
             return None
         motion = self._motion(tracked, moved)
         with self._clock("predict"):
@@ -241,12 +241,13 @@ class ScanFrontEnd:
 
     def _reported(self, estimate: Estimate) -> Estimate:
         """An estimate at the newest keyframe, by the graph's variance factor, with the private errors of its scans."""
-        if self.newest < 1:
+        newest = self._graph.count - 1
+        if newest < 1:
             return estimate
         returns, poses, sigma_m = self._store.returns, self._graph.poses, self._config.assumed.laser.range_m
         if self._first_private is None:
             self._first_private = private_covariance(returns, 0, sigma_m)
-        own = private_covariance(returns, self.newest, sigma_m)
+        own = private_covariance(returns, newest, sigma_m)
         cov = self._graph.variance_factor() * estimate.pose_cov
         return dataclasses.replace(estimate, pose_cov=reported(cov, poses[-1], own, self._first_private, poses[0]))
 
@@ -256,7 +257,7 @@ class ScanFrontEnd:
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = LastScan(self._graph.poses[-1].copy(), Pose().triple(), self._last.motion)
         if self._has_final_pass:
-            self._scans.append(TrackedScan(None, self.newest, STANDSTILL, Pose()))
+            self._scans.append(TrackedScan(None, self._graph.count - 1, STANDSTILL, Pose()))
         return estimate
 
 

@@ -194,6 +194,18 @@ def bearings_at(returns: Returns, row: int) -> Bearings:
     return Bearings(of[0], of[1], int(of[2]), of[3] != 0.0, of[4], int(of[5]))
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _write(
+    returns: Returns, row: int, bearings: Bearings, ranges: NDArray[np.float32], angles: Array, limit: float
+) -> None:
+    """Write the returns of a scan, with their normals, into a row."""
+    fill_cells(ranges, angles, bearings, limit, returns.points[row])
+    fit_normals(returns.points[row], bearings, returns.normals[row])
+    cells = returns.cells[row]
+    cells[0], cells[1], cells[2] = bearings.first, bearings.spacing, bearings.beams
+    cells[3], cells[4], cells[5] = bearings.closed, bearings.blind, bearings.stride
+
+
 class ScanStore:
     """Keyframes, one row each; the row after the last one holds the newest scan until it is kept or replaced."""
 
@@ -211,10 +223,8 @@ class ScanStore:
         rows, beams = self.returns.points.shape[:2]
         if self.count == rows or bearings.beams > beams:
             self.returns = _grown(self.returns, rows * (1 + (self.count == rows)), max(beams, bearings.beams))
-        points, normals, cells = self.returns
-        limit, cells[self.count] = min(self._max_range_m, scan.max_range), bearings
-        fill_cells(scan.ranges, scan.bearings, bearings, limit, points[self.count])
-        fit_normals(points[self.count], bearings, normals[self.count])
+        limit = min(self._max_range_m, scan.max_range)
+        _write(self.returns, self.count, bearings, scan.ranges, scan.bearings, limit)
         return self.count
 
     def keep(self) -> int:

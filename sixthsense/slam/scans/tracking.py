@@ -202,13 +202,10 @@ class Tracked(NamedTuple):
     """whether less agrees than usually"""
     is_firm: bool
     """whether it is where the odometry may well have led to, and is not doubted"""
+    is_lost: bool
+    """whether it is likelier that the scan tells nothing than that it is from this pose"""
     usual: Usual
     """what scans usually have, this one included"""
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether it is likelier that the scan tells nothing than that it is from this pose."""
-        return self.log_odds < 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -333,7 +330,8 @@ def _judged(found: Aligned, prior: Prior, usual: Usual, is_guess: bool) -> Track
         usual.lines + _NEWEST_SHARE * (lines / max(judged, 1.0) - usual.lines),
     )
     has_slipped = slipping > _rolling(slip)
-    return Tracked(pose, information, cov, off, slip, has_slipped, log_odds, is_doubted, is_firm, newest)
+    is_lost = log_odds < 0.0
+    return Tracked(pose, information, cov, off, slip, has_slipped, log_odds, is_doubted, is_firm, is_lost, newest)
 
 
 @numba.njit(cache=True, error_model="numpy")

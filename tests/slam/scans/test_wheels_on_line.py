@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from rooms import CORNERS, CORRIDOR, HALF, RING, ROOM, drive, ticks
 
-from sixthsense.config import preset
+from sixthsense.config import AssumedConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.wheels import Wheels, WheelTerms, wheel_prior
-from sixthsense.slam.motion_source import with_unsteady_errors, with_wheel_errors
+from sixthsense.slam.motion_source import UNSTEADY, ByWheels, CalibratedWheels, with_wheel_errors
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(front_end="scan-matching", calibrate_wheels=True)
@@ -46,9 +46,14 @@ def test_in_a_bare_corridor_the_forward_scale_is_hardly_learnt_and_the_drift_is(
 def test_errors_that_are_known_leave_what_no_parameter_describes():
     jacobian = np.array([[0.25, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0.25, 0, 0]])
     odometry = Odometry(Pose(0.25, 0.0, 0.0), 1e-6 * np.eye(3), WheelTerms(Wheels(), jacobian))
-    known, unknown = (ParameterEstimate(Wheels(), np.diag(sigmas) ** 2) for sigmas in ([0] * 5, [0.05, 0, 0.03, 0, 0]))
-    of_any, of_known, of_unknown = (with_wheel_errors(odometry, wheels).cov for wheels in (None, known, unknown))
-    assert np.array_equal(of_known, with_unsteady_errors(odometry).cov)
+    sigmas = ([0] * 5, [0.05, 0, 0.03, 0, 0])
+    known, unknown = (ParameterEstimate(Wheels(), np.diag(each) ** 2) for each in sigmas)
+    sources = [ByWheels(AssumedConfig()), CalibratedWheels(AssumedConfig()), CalibratedWheels(AssumedConfig())]
+    for source, wheels in zip(sources[1:], (known, unknown), strict=True):
+        source.use(wheels)
+    of_any, of_known, of_unknown = (source.for_tracking(odometry).cov for source in sources)
+    assert np.array_equal(of_known, with_wheel_errors(odometry, UNSTEADY).cov)
     assert np.allclose(of_unknown - of_known, np.diag([0.0125, 0.0, 0.0075]) ** 2)
     assert np.all(np.diag(of_known) < np.diag(of_any))
-    assert with_unsteady_errors(odometry).wheels is odometry.wheels
+    left = sources[1].for_estimator(odometry)
+    assert left.wheels is odometry.wheels and np.array_equal(left.cov, of_known)
