@@ -56,7 +56,7 @@ def known_cells(trace: Trace) -> tuple[NDArray[np.int8], tuple[float, float, flo
     None for a trace without a grid, or without a known cell.
     """
     occupancy = np.full((0, 0), -1, np.int8) if trace.grid is None else trace.grid.occupancy()
-    rows, cols = (np.flatnonzero((occupancy >= 0).any(axis=axis)) for axis in (1, 0))
+    rows, cols = (np.flatnonzero(occupancy.max(axis=axis, initial=-1) >= 0) for axis in (1, 0))
     if trace.grid is None or len(rows) == 0:
         return None
     cell, (x0, y0) = trace.config.grid.cell_m, trace.grid.origin
@@ -85,11 +85,13 @@ def known_blocks(trace: Trace, most: int) -> tuple[NDArray[np.int8], tuple[float
 
 def draw_grid(ax: Any, trace: Trace, obstacle_shade: float) -> None:
     """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white."""
-    # Matplotlib takes some 60 bytes for each cell that it is given, and shows no more than there are pixels.
+    # Matplotlib takes some 20 bytes for each cell that it is given, 100 where it interpolates colours, and shows
+    # no more than there are pixels.
     known = known_blocks(trace, _MOST_BLOCKS)
     if known is not None:
-        shade = np.select([known[0] == 100, known[0] == 0], [obstacle_shade, 0.94], 1.0)
-        style = {"origin": "lower", "interpolation": "nearest", "zorder": 0}
+        shades = np.array([obstacle_shade, 0.94, 1.0], dtype=np.float32)
+        shade = np.select([known[0] == 100, known[0] == 0], shades[:2], shades[2])
+        style = {"origin": "lower", "interpolation": "nearest", "interpolation_stage": "data", "zorder": 0}
         ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=known[1], **style)
 
 

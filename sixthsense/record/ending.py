@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-from collections.abc import Iterator, Mapping
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +44,30 @@ def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None
     write_arrays(folder, trace)
     if trace.grid is not None:
         grid = trace.grid
-        with whole(folder / GRID_FILE) as file:
-            hits, passes = grid.narrow("hits"), grid.narrow("passes")
-            np.savez_compressed(file, hits=hits, passes=passes, seen=grid.seen, origin=np.array(grid.origin))
+        write_grid(folder, grid)
         write_map(folder, grid.occupancy(), grid.origin, trace.config.grid.cell_m)
     if trace.outcome.startswith("explored"):
         write_places_left(folder / "places_left.csv", trace)
     with whole(folder / "metrics.json") as file:
         file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
     write_end(folder, trace)
+
+
+def write_grid(folder: Path, grid: Grid) -> None:
+    """Write `grid.npz`: the evidence of all cells, and where they are.
+
+    One array at a time, as `numpy.savez_compressed` writes them: a large map would be the most memory of a run.
+    """
+    arrays: dict[str, Callable[[], NDArray[Any]]] = {
+        "hits": lambda: grid.narrow("hits"),
+        "passes": lambda: grid.narrow("passes"),
+        "seen": lambda: grid.seen,
+        "origin": lambda: np.array(grid.origin),
+    }
+    with whole(folder / GRID_FILE) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
+        for name, made in arrays.items():
+            with out.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, made(), allow_pickle=False)
 
 
 def write_tum(file: Path, stamps_ns: list[int], poses: Array) -> None:
@@ -111,18 +127,16 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
     The image is cropped to the known cells.
     """
     import yaml
-    from PIL import Image
 
-    known = occupancy >= 0
-    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    rows, cols = (np.flatnonzero(occupancy.max(axis=axis, initial=-1) >= 0) for axis in (1, 0))
     if len(rows) == 0:
         return
     r0, c0 = int(rows[0]), int(cols[0])
     part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
-    grey = np.full(part.shape, 205, dtype=np.uint8)
-    grey[part == 0], grey[part == 100] = 254, 0
-    with whole(folder / "map.pgm") as file:
-        Image.fromarray(np.flipud(grey)).save(file)  # the first row of an image is the top of the map
+    with whole(folder / "map.pgm") as file, file.open("wb") as out:
+        out.write(b"P5\n%d %d\n255\n" % part.shape[::-1])
+        for row in part[::-1]:  # the first row of an image is the top of the map
+            out.write(np.select([row == 0, row == 100], [np.uint8(254), np.uint8(0)], np.uint8(205)).tobytes())
     meta = {
         "image": "map.pgm",
         "mode": "trinary",

@@ -14,30 +14,33 @@ from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.tiles import ROW, Index, Places, slot
 
 Ints = NDArray[np.int32]
+SCANS_PER_STAMP = 126
+"""scans that a stamp of one byte tells apart"""
 
 
 class Cells(NamedTuple):
     """Flat arrays, tile after tile: what is kept of each cell."""
 
-    hits: Ints
+    hits: NDArray[Any]
     """scans that ended, or had a wall fitted, in the cell"""
     passes: Ints
     """scans that crossed the cell and did not hit it"""
-    cover: Ints
+    cover: NDArray[Any]
     """obstacles whose inflation covers the cell"""
-    stamp: Ints
-    """what the latest scan that reached the cell did to it"""
+    stamp: NDArray[np.uint8]
+    """what the latest scan that reached the cell did to it; 0 if that was long ago"""
     seen: Bools
     """whether a beam has ever crossed the cell or ended in it"""
     obstacles: Bools
     """whether the evidence says occupied"""
 
     @classmethod
-    def empty(cls, count: int) -> Cells:
-        """Cells without evidence."""
-        hits, passes, cover, stamp = (np.zeros(count, dtype=np.int32) for _ in range(4))
+    def empty(cls, count: int, max_hits: int, most_cover: int) -> Cells:
+        """Cells without evidence, of types that hold so many hits, and so many obstacles that cover a cell."""
+        types = np.min_scalar_type(max_hits), np.int32, np.result_type(np.int16, np.min_scalar_type(-most_cover))
+        hits, passes, cover = (np.zeros(count, dtype=kind) for kind in types)
         seen, obstacles = (np.zeros(count, dtype=np.bool_) for _ in range(2))
-        return cls(hits, passes, cover, stamp, seen, obstacles)
+        return cls(hits, passes, cover, np.zeros(count, dtype=np.uint8), seen, obstacles)
 
     def extend(self, count: int) -> None:
         """Make room for more cells behind these, in place: a copy would double the memory of a large map."""
@@ -139,7 +142,10 @@ def _hit(cells: Cells, index: Index, place: int, mark: int, stencil: Places, rul
 
 @numba.njit(cache=True, error_model="numpy")
 def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil: Places, rules: EvidenceRules) -> None:
-    """Count one scan in the tiles of `index`; `number` is that of the scan, `stencil` (K,) offsets of places."""
+    """Count one scan in the tiles of `index`; `stencil` (K,) are offsets of places.
+
+    `number` is that of the scan, 1 to `SCANS_PER_STAMP`, and not that of another one since stamps were 0.
+    """
     laser, ends, returned, walls = scan.laser, scan.ends, scan.returned, scan.walls
     passed, hit = 2 * number, 2 * number + 1  # stamps of this scan
     for i in range(len(ends)):

@@ -17,7 +17,15 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import MAX_CELLS, TILE, Box, Changes, Revision, box_of, cell_box, grown_box
-from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, touched_squares
+from sixthsense.slam.mapping.evidence import (
+    SCANS_PER_STAMP,
+    Cells,
+    EvidenceRules,
+    Ints,
+    ScanCells,
+    count_scan,
+    touched_squares,
+)
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
 from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, marked, stamped
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
@@ -81,6 +89,7 @@ class Grid:
             raise ValueError(f"origin: found {origin}, allowed: finite numbers")
         grid = cls(config, radius_m)
         row, col = round(origin[1] / config.cell_m), round(origin[0] / config.cell_m)
+        grid._cells = grid._no_cells(max(config.max_hits, int(hits.max(initial=0))))
         grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
         grid._tiles.cover(grid._box.grown(grid._reach))
         kept = np.nonzero((hits > 0) | (passes > 0) | seen)
@@ -95,7 +104,7 @@ class Grid:
         self.changes.add_all()
         self._box = Box(0, 0, 0, 0)
         self._scans = 0
-        self._tiles, self._cells = Tiles(), Cells.empty(0)
+        self._tiles, self._cells = Tiles(), self._no_cells(self._rules.max_hits)
         self._bodies: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
         """(N, 2) cells, row, col from the world's origin, of who stands in the way"""
         self._masks: Masks | None = None
@@ -142,6 +151,8 @@ class Grid:
             raise
         box = box_of(np.stack([low, high]) + np.array(self._tiles.first))
         self.changes.add(box)
+        if self._scans == SCANS_PER_STAMP:
+            self._cells.stamp[:], self._scans = 0, 0
         self._scans += 1
         count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
         return box
@@ -259,7 +270,7 @@ class Grid:
     @property
     def hits(self) -> Ints:
         """(H, W) scans that ended, or had a wall fitted, in the cell."""
-        return self._whole("hits")
+        return self._whole("hits").astype(np.int32)
 
     @property
     def passes(self) -> Ints:
@@ -299,9 +310,16 @@ class Grid:
 
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        occupancy = self.seen.astype(np.int8) - np.int8(1)
-        occupancy[self.obstacles] = 100
+        cells = self._cells.seen.astype(np.int8)
+        cells[self._cells.obstacles] = 101
+        self._check_size()
+        occupancy = self._tiles.part(cells, self._box)
+        occupancy -= 1  # in place: there may be many more cells than were seen
         return occupancy
+
+    def _no_cells(self, most_hits: int) -> Cells:
+        # An obstacle and a body may be in each cell of the stencil.
+        return Cells.empty(0, most_hits, 2 * len(self._stencil))
 
     def _whole_masks(self) -> Masks:
         """Seen cells and inflation of the whole map; kept, and made again where it has changed."""

@@ -48,7 +48,8 @@ def submap_of(cells: Cells, tiles: Tiles) -> Submap:
     places = corner + np.stack([(touched >> SHIFT) & (TILE - 1), touched & (TILE - 1)], axis=1)
     order = np.lexsort((places[:, 1], places[:, 0]))
     touched = touched[order]
-    return Submap.of(places[order], cells.hits[touched], cells.passes[touched], cells.seen[touched])
+    hits = cells.hits[touched].astype(np.int32)
+    return Submap.of(places[order], hits, cells.passes[touched], cells.seen[touched])
 
 
 def weakened(submap: Submap, rules: EvidenceRules) -> Submap:

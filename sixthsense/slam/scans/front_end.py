@@ -293,10 +293,11 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Tri
     covs = np.array([odometry.cov for odometry in by_wheels])
     odometry = np.array([odometry.motion.triple() for odometry in by_wheels])
     informations = informations_in_world(poses[keys], odometry, covs, mount)
-    around = cKDTree(poses[:, :2]).query_ball_point(found[:, :2], REACH_M, return_sorted=True)
+    tree = cKDTree(poses[:, :2])
     is_aligned = np.zeros(len(rows), dtype=np.bool_)
     for i, k in enumerate(rows):
-        near = np.array(around[i], dtype=np.int64)
+        # One scan at a time: the neighbours of all scans together would be the most memory of a replay.
+        near = np.array(tree.query_ball_point(found[i, :2], REACH_M, return_sorted=True), dtype=np.int64)
         near = near[np.abs(wrap_angle(poses[near, 2] - found[i, 2])) < REACH_RAD]
         scan = scans[k].scan
         if len(near) < 2 or scan is None:

@@ -304,3 +304,23 @@ def test_those_who_stand_block_the_ways_around_them_until_they_stand_elsewhere()
     grid.let_pass(at, np.zeros((0, 2)), body_m)
     again = grid.free_space()
     assert all(again.is_blocked(free.centre(*cell)) == free.blocked[cell] for cell in np.ndindex(free.blocked.shape))
+
+
+@pytest.mark.parametrize("between", [124, 125, 126, 253])
+def test_a_scan_counts_however_many_scans_elsewhere_came_before_it(between: int) -> None:
+    grid, walls = Grid(CONFIG, 0.2), np.zeros((0, 2, 2))
+    here, away = Pose(0.33, -0.21, 0.7), Pose(60.3, 41.7, -1.1)
+    first = scan_of_room(here, max_range=4.0)
+    box = grid.add(here, first, walls)
+    hits, passes = grid.part("hits", box), grid.part("passes", box)
+    for _ in range(between):
+        grid.add(away, first, walls)
+    grid.add(here, first, walls)
+    assert np.array_equal(grid.part("hits", box), 2 * hits) and np.array_equal(grid.part("passes", box), 2 * passes)
+
+
+def test_more_hits_than_a_byte_holds_are_counted() -> None:
+    grid, pose = Grid(replace(CONFIG, max_hits=301), 0.2), Pose(0.33, -0.21, 0.7)
+    for _ in range(310):
+        grid.add(pose, scan_of_room(pose, max_range=4.0), np.zeros((0, 2, 2)))
+    assert grid.hits.max() == 301 and grid.passes.max() == 310

@@ -177,8 +177,8 @@ def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
         tiles, box = Tiles(), Box(-5, 7, 15, 37)
         tiles.cover(box)
         tiles.allocate(tiles.lacking(np.ones(tiles.index.shape, dtype=np.bool_), (0, 0)))
-        fast = Cells.empty(tiles.index.size * TILE * TILE)
-        plain = Cells(*(cells.reshape(20, 30) for cells in Cells.empty(600)))
+        fast = Cells.empty(tiles.index.size * TILE * TILE, RULES.max_hits, 37)
+        plain = Cells(*(cells.reshape(20, 30) for cells in Cells.empty(600, RULES.max_hits, 37)))
         for _ in range(6):
             submap = random_submap(rng)
             add_submap(fast, tiles.index, tiles.places(submap.cells), submap, RULES)
