@@ -20,6 +20,9 @@ MEANS = (("ATE m", "ate_rmse_m"), ("NIS/dof", "nis_mean_per_dof"), ("coverage", 
 
 NEES = "pose_nees_world_mean"
 
+_NIS = 0.5, 2.0
+"""per degree of freedom; beyond, sigmas are wrong by a factor of 1.4 and more"""
+
 
 def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None] = ()) -> list[list[str]]:
     """Summarise a table of runs: a heading, and a row per combination of the values in the columns `by`.
@@ -41,9 +44,12 @@ def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None]
 
 
 def mean_interval(values: Array) -> str:
-    """Mean and half-width of its 95 % interval (Student's t); a single value alone, and an empty text for none."""
-    if len(values) < 2:
-        return "".join(f"{value:.3g}" for value in values)
+    """Mean and half-width of its 95 % interval (Student's t) of three values and more; else the values themselves.
+
+    The interval of two is 13 times as wide as what lies between them: they say next to nothing of their mean.
+    """
+    if len(values) < 3:
+        return ", ".join(f"{value:.3g}" for value in values) + " (two runs say nothing of a mean)" * (len(values) == 2)
     from scipy.stats import t
 
     half = float(t.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / math.sqrt(len(values))
@@ -150,8 +156,12 @@ def _consistency(metrics: Mapping[str, Any]) -> str:
         if nees < low:
             verdict, where = "cautious", "below"
         return f"{verdict}: NEES {nees:.2g}, {where} the {low:.1f} to {high:.1f} of a consistent run"
-    if "nis_mean_per_dof" in metrics:
-        return f"no truth; NIS {metrics['nis_mean_per_dof']:.2f} per degree of freedom, 1 is consistent"
+    if (nis := metrics.get("nis_mean_per_dof")) is not None:
+        said = f"no truth; NIS {nis:.2f} per degree of freedom, 1 is consistent"
+        if _NIS[0] <= nis <= _NIS[1]:
+            return said
+        size = "larger" if nis < _NIS[0] else "smaller"
+        return f"{said}: the assumed noise is {size} than the robot's; assumed.laser and assumed.motion state it"
     return "not measured: no truth"
 
 

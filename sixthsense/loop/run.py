@@ -116,6 +116,8 @@ class Recorder:
             trace.plans_by_astar = navigator.plans_by_astar
         result = self._slam.finish()
         trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
+        if trace.config.no_odometry:  # no wheels have counted the way
+            trace.path_length_m = float(np.hypot(*np.diff(result.trajectory[:, :2], axis=0).T).sum())
         trace.records = dict(result.landmark_records)
         trace.culled, trace.walls_merged = result.culled, result.walls_merged
         trace.loop_closures, trace.links = result.loop_closures, result.links

@@ -15,7 +15,7 @@ from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.names import KEEP_POSES
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.core.arguments import as_array, as_pose
+from sixthsense.core.arguments import as_pose, as_ranges
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -141,10 +141,11 @@ class Slam:
 
         `ranges` (beams,) metres, counter-clockwise from `-laser.fov / 2`, inf or NaN where nothing was met; `odometry`
         is the robot's pose by its wheels, `T_odom_robot`, in any fixed frame; stamps ascend. Raises ValueError that
-        names the argument for ranges of another shape, a pose that is not finite and a stamp that does not ascend.
+        names the argument for ranges of another shape, for NaN alone, for ranges that can only be millimetres or
+        centimetres, for a pose that is not finite and for a stamp that does not ascend.
         """
         laser = self.config.laser
-        values = as_array("ranges", ranges, (laser.beams,), finite=False)
+        values = as_ranges("ranges", ranges, laser)
         return self.take(Tick(stamp_ns, as_pose("odometry", odometry), Scan.from_config(values, laser)))
 
     def odometry(self, stamp_ns: int, odometry: Pose) -> Step:

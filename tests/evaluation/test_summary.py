@@ -43,6 +43,13 @@ def test_a_log_without_truth_tells_its_scans_the_way_the_area_the_loop_closures_
     assert told["consistency"] == "no truth; NIS 1.02 per degree of freedom, 1 is consistent"
 
 
+@pytest.mark.parametrize(("nis", "size"), [(0.49, "larger"), (0.51, ""), (1.99, ""), (2.01, "smaller")])
+def test_a_nis_that_says_that_the_tuning_is_of_another_robot_says_what_to_do(nis: float, size: str) -> None:
+    told = run_summary(LOG | {"nis_mean_per_dof": nis})["consistency"]
+    advice = f": the assumed noise is {size} than the robot's; assumed.laser and assumed.motion state it"
+    assert told == f"no truth; NIS {nis:.2f} per degree of freedom, 1 is consistent{advice if size else ''}"
+
+
 @pytest.mark.parametrize(
     ("samples", "told"), [(60.0, "overconfident: NEES 4, above the 2.4 to 3.7"), (29.0, "consistent")]
 )
@@ -98,7 +105,8 @@ def test_the_interval_of_a_mean_is_that_of_student():
     values = np.array([0.31, 0.52, 0.47, 0.93, 0.11])
     low, high = stats.t.interval(0.95, 4, values.mean(), stats.sem(values))
     assert mean_interval(values) == f"{values.mean():.3g} ± {(high - low) / 2:.2g}"
-    assert [mean_interval(values[:n]) for n in (0, 1)] == ["", "0.31"]
+    two = "0.31, 0.52 (two runs say nothing of a mean)"
+    assert [mean_interval(values[:n]) for n in (0, 1, 2)] == ["", "0.31", two]
 
 
 def test_tables_align_escape_and_round_their_cells():

@@ -131,17 +131,22 @@ def test_what_cannot_be_taken_is_refused() -> None:
             slam.scan(200, np.ones(181), Pose())
         with pytest.raises(ValueError, match=r"^ranges: expected shape \(360,\), got \(2, 360\)"):
             slam.scan(200, np.ones((2, 360)), Pose())
+        metres = np.linspace(0.7, 5.9, 360)
+        for ranges, found in ((np.full(360, np.nan), "NaN alone"), (1e3 * metres, "a median of 3")):
+            with pytest.raises(ValueError, match=rf"^ranges: expected metres.*, got {found}"):
+                slam.scan(200, ranges, Pose())
+        slam.scan(150, np.where(metres < 4.0, 655.35, metres), Pose(0.1, 0.2, 0.3))  # a code for no return
         with pytest.raises(ValueError, match=r"^odometry: expected a Pose\(x, y, theta\), got an array of shape"):
             slam.scan(200, np.ones(360), np.zeros(3))
         with pytest.raises(ValueError, match=r"^odometry: expected finite numbers, got Pose\(x=nan"):
             slam.odometry(200, Pose(np.nan))
-        with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 100"):
+        with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 150"):
             slam.odometry(100, Pose())
         seen = {4: Observation(Kind.CORNER, np.array([1.7, -0.6]), 0.03 * np.eye(2))}
         scan = Scan.from_config(np.full(360, 2.3), config.laser)
         with pytest.raises(ValueError, match=r"^tick: found a scan and observations"):
             slam.take(Tick(200, Pose(0.3, 0.1, 0.2), scan, seen))
-        with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 100"):
+        with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 150"):
             slam.take(Tick(100, Pose(0.3, 0.1, 0.2)))
         slam.finish()
         with pytest.raises(RuntimeError, match="finish"):

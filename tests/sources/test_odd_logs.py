@@ -266,6 +266,8 @@ def test_a_bag_with_scans_alone_has_no_odometry_the_frame_of_the_mount_is_the_ro
     assert not log.has_odometry and len(log.ticks) == 30
     assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array())
     assert "no_odometry = true" in (tmp_path / "out" / "config.toml").read_text()
+    steps = np.diff(run.trace.trajectory[:, :2], axis=0)  # no wheels have counted the way
+    assert run.metrics["path_length_m"] == pytest.approx(np.hypot(*steps.T).sum()) and len(steps)
     assert np.array_equal(ss.replay(tmp_path / "out").trace.estimates, run.trace.estimates)
     assert not open_log(robot_bag(tmp_path / "with", seconds=1.0), odometry=False).has_odometry
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.core.laser import MOST_RANGE_M
 from sixthsense.sources.logs.laser_geometry import no_return_code
 
 _LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -19,8 +20,6 @@ _NAMES = {"ranges": _LENGTHS, "odometry": _LENGTHS, "angles": _ANGLES, "headings
 
 _MOST_TURN = 3.0 * math.pi
 """Beams span at most a full turn; some drivers send a few more."""
-_MOST_RANGE_M = 100.0
-"""Lasers with two dimensions reach 10 to 80 m, the largest 250 m, and see most walls well below."""
 _FASTEST, _FASTEST_RAD = 20.0, 20.0
 """m/s and rad/s of a vehicle; a slow robot in centimetres is faster"""
 _COMPARED = 100  # scans, evenly over the log
@@ -69,7 +68,7 @@ def check_ranges(where: str, ranges: Sequence[NDArray[np.float32]]) -> None:
     some = ranges[:: max(1, len(ranges) // _COMPARED)]
     code = no_return_code(some) or math.inf
     returns = np.concatenate([row[(row > 0.0) & np.isfinite(row) & (row < code)] for row in some])
-    if len(returns) and (median := float(np.median(returns))) > _MOST_RANGE_M:
+    if len(returns) and (median := float(np.median(returns))) > MOST_RANGE_M:
         raise InputError(
             where,
             f"found ranges with a median of {median:.5g}, which are millimetres or centimetres",
