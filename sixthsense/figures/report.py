@@ -74,7 +74,7 @@ h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; padding-bottom: .2rem; border-bot
 .note { padding: .5rem .8rem; background: #fff4e5; border-left: .25rem solid #e69f00; }
 .quiet { color: #595959; }
 nav ul { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .8rem 0; padding: 0; list-style: none; }
-figure { margin: 1.2rem 0; }
+figure { margin: 1.2rem 0; overflow-x: auto; }
 figure img { display: block; max-width: 100%; height: auto; }
 figcaption { color: #595959; font-size: .9rem; }
 .wide { overflow-x: auto; }
@@ -86,7 +86,7 @@ th.group { padding-top: .9rem; color: #0072b2; }
 code, pre { font: .875rem/1.45 ui-monospace, monospace; }
 pre { background: #f6f6f6; padding: .6rem .8rem; overflow-x: auto; }
 summary { cursor: pointer; margin: .6rem 0; }
-@media (max-width: 30rem) {
+@media (max-width: 40rem) {
   h1 { font-size: 1.25rem; }
   th, td { padding-right: .6rem; font-size: .9rem; white-space: nowrap; }
   figure img { max-width: none; width: 40rem; }

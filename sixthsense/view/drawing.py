@@ -200,7 +200,7 @@ class Drawing:
             self._stream.log(f"{plot}/{path}", self._rr.Scalars(number))
 
     def _blueprint(self, trace: Trace) -> Any:
-        """The layout: the map on the left, the plots on the right."""
+        """The layout: the map, and the plots beside it; below it in a narrow window."""
         import rerun.blueprint as rrb
 
         bounds = None
@@ -221,7 +221,8 @@ class Drawing:
             )
             for plot, title in titles.items()
         ]
-        layout = rrb.Horizontal(plane, rrb.Vertical(*plots), column_shares=[3.0, 2.0])
+        # A grid without a number of columns takes as many as its window has room for.
+        layout = rrb.Grid(plane, rrb.Vertical(*plots), column_shares=[3.0, 2.0])
         # Follow the latest data until the user moves the time cursor.
         clock = rrb.TimePanel(timeline="time", state="collapsed", play_state="following")
         return rrb.Blueprint(layout, clock, collapse_panels=True)
