@@ -49,7 +49,7 @@ from sixthsense.slam.estimators.isam2_factors import (
     to_pose2,
     wall_factor,
 )
-from sixthsense.slam.estimators.isam2_solver import Head, Landmarks, Solution, Solver, Unsolved
+from sixthsense.slam.estimators.isam2_solver import Landmarks, Solution, Solver, Unsolved
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
@@ -76,10 +76,10 @@ class ISAM2:
         self._last_solved = 0
         """key of the last solved pose"""
         self._landmarks = Landmarks()
-        self._head = Head(self._solver, start, check_covariance("start_cov", start_cov))
         self._chain = Chain()
-        self._solution = Solution(self._solver, self._landmarks, self._head, self._chain)
-        self._observations = Observations(self._solver, self._landmarks, self._head, loss_of(config))
+        begin = start, check_covariance("start_cov", start_cov)
+        self._solution = Solution(self._solver, self._landmarks, self._chain, begin)
+        self._observations = Observations(self._solver, self._landmarks, self._solution, loss_of(config))
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -90,11 +90,11 @@ class ISAM2:
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
         """Add the parameters of the wheels, or of the sensor of points, as a variable of the graph."""
-        self._head.add(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
+        self._solution.add(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
         """The parameters of this kind at the last solution, if they are estimated."""
-        return self._head.parameters(of)
+        return self._solution.parameters(of)
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: one factor of all of them."""
@@ -110,7 +110,7 @@ class ISAM2:
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Add the present pose and the observations from it; solve if there are any."""
-        guess = self._head.after(self._pending)
+        guess = self._solution.after(self._pending)
         if not observations:
             self._add_pose(guess)
             return
@@ -141,7 +141,7 @@ class ISAM2:
         ids = self._solve_waiting()[first:]
         self._links.update(zip(ids, attached, strict=True))
         self._solution.update(self._last_solved)
-        off = guess.localCoordinates(to_pose2(self._head.pose))
+        off = guess.localCoordinates(to_pose2(self._solution.pose))
         if np.abs(off).max() > self._config.relinearize_threshold:
             self._converge()
         return ids
@@ -178,12 +178,12 @@ class ISAM2:
             self._remove(factors)
         self._prior.forget(gone, self._solver, self._landmarks)
         self._landmarks.drop(gone)
-        if self._head.is_solved:
+        if self._solution.keys:
             self._solution.update(self._last_solved)
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
-        pose, cov = self._head.after(self._pending), self._head.propagated(self._head.cov(), self._pending)
+        pose, cov = self._solution.after(self._pending), self._solution.propagated(self._solution.cov(), self._pending)
         landmarks = self._solution.landmarks()
         return Estimate(pose, cov, landmarks.ids.copy(), landmarks.means.copy(), landmarks.walls.copy())
 
@@ -215,11 +215,11 @@ class ISAM2:
         self._unsolved.poses.append(guess)
         self._unsolved.values.insert(key, to_pose2(guess))
         if self._poses == 0:
-            start = Odometry(self._head.pose, self._head.cov()[:3, :3]).then(self._pending)
-            self._unsolved.graph.add(start_factor(key, start, self._head.wheels is not None))
+            start = Odometry(self._solution.pose, self._solution.cov()[:3, :3]).then(self._pending)
+            self._unsolved.graph.add(start_factor(key, start, self._solution.wheels is not None))
         else:
             self._unsolved.motions[self._poses] = self._step, self._unsolved.graph.size()
-            self._unsolved.graph.add(motion_factor(key - 1, key, self._step, self._head.wheels is not None))
+            self._unsolved.graph.add(motion_factor(key - 1, key, self._step, self._solution.wheels is not None))
         self._poses += 1
         self._step = STANDSTILL
 
@@ -237,7 +237,7 @@ class ISAM2:
         """Give the solver what waits, and take out spare poses and the factors `gone`; the factors of what waited."""
         waiting, joined = self._unsolved, Joined([], [], [])
         if spare:
-            joined = self._chain.take_out(spare, self.poses_at, self._head.wheels is not None)
+            joined = self._chain.take_out(spare, self.poses_at, self._solution.wheels is not None)
             gone = [*gone, *joined.gone, *self._observations.drop_poses(spare)]
             for factor in joined.factors:
                 waiting.graph.add(factor)
@@ -263,7 +263,7 @@ class ISAM2:
     def _adds_nothing(self, guess: Pose, observations: Mapping[LandmarkId, Observation]) -> bool:
         """Whether the observations from a pose, of which there are some, say next to nothing of the landmarks."""
         least = self._config.least_gain
-        if not least or self._head.wheels is not None or not observations.keys() <= self._landmarks.keys.keys():
+        if not least or self._solution.wheels is not None or not observations.keys() <= self._landmarks.keys.keys():
             return False
         return self._solution.map_gain(guess, observations, self._pending) < least
 
@@ -307,8 +307,8 @@ _FIELDS = (("pose", np.int64), ("id", np.int64), ("factor", np.int64), ("wall", 
 class Observations:
     """The observations with the numbers of their factors, a row each, in the order of time."""
 
-    def __init__(self, solver: Solver, landmarks: Landmarks, head: Head, loss: Loss | None) -> None:
-        self._solver, self._landmarks, self._head, self._loss = solver, landmarks, head, loss
+    def __init__(self, solver: Solver, landmarks: Landmarks, solution: Solution, loss: Loss | None) -> None:
+        self._solver, self._landmarks, self._solution, self._loss = solver, landmarks, solution, loss
         self._rows = np.zeros(256, dtype=list(_FIELDS))
         self._count = 0
 
@@ -387,11 +387,11 @@ class Observations:
     ) -> gtsam.NonlinearFactor:
         key = self._landmarks.keys[i]
         if not observation.is_wall:
-            return seen_point(key, pose[0], observation, self._head.sensor, self._loss)
+            return seen_point(key, pose[0], observation, self._solution.sensor, self._loss)
         if (bend := observation.bend) is not None:
             key = self._landmarks.stretches[i, bend.stretch]
             observation = replace(observation, cov=observation.cov - bend.stretch_kept**2 * bend.cov)
-        if self._head.wheels is not None and not is_new:
+        if self._solution.wheels is not None and not is_new:
             return exact_factor(key, pose[0], observation, self._loss)
         return wall_factor((key, self._frame(key, values)), pose, observation, is_new, self._loss)
 

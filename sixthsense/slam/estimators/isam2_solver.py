@@ -196,23 +196,35 @@ def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "Q
     return parameters
 
 
-class Head:
-    """A pose, the wheels' parameters if they are estimated, and their joint covariance."""
+_POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
 
-    def __init__(self, solver: Solver, pose: Pose, cov: Array) -> None:
-        """Begin at a pose, `T_world_robot`, of covariance `cov` (3, 3), without a solution."""
-        self.pose = pose
-        """of the last solved pose, or the start"""
+
+class Solution:
+    """The last solution: the present pose and parameters with their joint covariance, all poses, and landmarks."""
+
+    def __init__(self, solver: Solver, landmarks: Landmarks, chain: Chain, start: tuple[Pose, Array]) -> None:
+        """Begin without a solution at a pose, `T_world_robot`, with its covariance (3, 3)."""
+        self._solver, self._landmarks, self._chain = solver, landmarks, chain
+        self.pose, self._cov = start
+        """of the last solved pose, or the start; the covariance has the wheels' parameters, too, if there are any"""
         self.wheels: Wheels | None = None
         """at the last solution, if they are estimated"""
         self.sensor: Sensor | None = None
         """at the last solution, if its parameters are estimated"""
         self._sensor_prior: ParameterEstimate[Sensor] | None = None
-        self._solver, self._cov = solver, cov
         self.keys: list[int] = []
-        """of its variables, of which the first is the last solved pose; empty until there is a solution"""
+        """of the last solved pose, and the wheels; empty until there is a solution"""
         self._has_cov = True
         """whether the covariance is that of the last solution"""
+        self._poses: Array | None = np.zeros((0, 3))
+        """all poses, once they were asked for"""
+        self._in_graph = np.zeros((0, 3))
+        self._has_read = True
+        """whether poses and landmarks are those of the last solution"""
+        self._joint, self._pending = np.zeros((3, 3)), STANDSTILL
+        """the last joint covariance that was asked for, and the motion since the solution then"""
+        self._rows: dict[LandmarkId, int] = {}
+        """of the landmarks in it; none of an earlier solution"""
 
     def add(self, prior: ParameterEstimate[Any], unsolved: Unsolved, has_begun: bool) -> None:
         """Add parameters; RuntimeError if the estimator has begun or has them."""
@@ -230,13 +242,14 @@ class Head:
         found: Any = self._sensor_prior
         if of is Wheels:
             found = None if self.wheels is None else ParameterEstimate(self.wheels, self.cov()[3:, 3:].copy())
-        elif self.sensor is not None and self.is_solved:
+        elif self.sensor is not None and self.keys:
             found = ParameterEstimate(self.sensor, self._solver.covariance([SENSOR]))
         return cast("ParameterEstimate[P] | None", found)
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""
-        self.keys, self._has_cov = [last] if self.wheels is None else [last, WHEELS], False
+        self._has_read, self._has_cov, self._poses, self._rows = False, False, None, {}
+        self.keys = [last] if self.wheels is None else [last, WHEELS]
         self.pose = to_pose(self._solver.isam.calculateEstimatePose2(last))
         if self.wheels is not None:
             self.wheels = Wheels.from_array(self._solver.isam.calculateEstimateVector(WHEELS))
@@ -255,11 +268,6 @@ class Head:
                 self._cov = 0.5 * (cov + cov.T)
         return self._cov
 
-    @property
-    def is_solved(self) -> bool:
-        """Whether the pose is a variable of the solver; until then it is the start."""
-        return bool(self.keys)
-
     def to_world(self) -> Array:
         """From GTSAM's tangents of these variables to the axes of `cov`."""
         turn = Pose(theta=self.pose.theta).adjoint()
@@ -273,7 +281,7 @@ class Head:
     def propagated(self, joint: Array, pending: Odometry) -> Array:
         """Joint covariance (3 + 2k, 3 + 2k) of the pose after the motion `pending`, and of k landmarks; a copy.
 
-        `joint` (n + 2k, n + 2k) is that of the head's n values and the landmarks.
+        `joint` (n + 2k, n + 2k) is that of the n values that `cov` is of, and the landmarks.
         """
         if len(joint) == 3 and pending is STANDSTILL:
             return joint.copy()
@@ -281,47 +289,22 @@ class Head:
             to = pending.motion
             moved = composed_covariance(joint, pending.cov, self.pose.theta, to.x, to.y)
             return np.asarray(0.5 * (moved + moved.T))
-        head = len(self._cov)
-        kept = np.concatenate([np.arange(3), np.arange(head, len(joint))])
+        n = len(self._cov)
+        kept = np.concatenate([np.arange(3), np.arange(n, len(joint))])
         if pending is STANDSTILL:
             return np.asarray(joint[np.ix_(kept, kept)])
         motion = pending if self.wheels is None else pending.with_wheels(self.wheels)
         by_pose, by_motion = compose_jacobians(self.pose.theta, motion.motion)
-        by_head = np.zeros((3, head))
+        by_head = np.zeros((3, n))
         by_head[:, :3] = by_pose
         if self.wheels is not None and motion.wheels is not None:
             by_head[:, 3:] = by_motion @ motion.wheels.jacobian
         moved = joint.copy()
-        moved[:3] = by_head @ moved[:head]
-        moved[:, :3] = moved[:, :head] @ by_head.T
+        moved[:3] = by_head @ moved[:n]
+        moved[:, :3] = moved[:, :n] @ by_head.T
         moved[:3, :3] += by_motion @ motion.cov @ by_motion.T
         moved = moved[np.ix_(kept, kept)]
         return np.asarray(0.5 * (moved + moved.T))
-
-
-_POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
-
-
-class Solution:
-    """Poses and landmarks of the last solution, its head included."""
-
-    def __init__(self, solver: Solver, landmarks: Landmarks, head: Head, chain: Chain) -> None:
-        """Begin without a solution."""
-        self._solver, self._landmarks, self._head, self._chain = solver, landmarks, head, chain
-        self._poses: Array | None = np.zeros((0, 3))
-        """all poses, once they were asked for"""
-        self._in_graph = np.zeros((0, 3))
-        self._has_read = True
-        """whether poses and landmarks are those of the last solution"""
-        self._joint, self._pending = np.zeros((3, 3)), STANDSTILL
-        """the last joint covariance that was asked for, and the motion since the solution then"""
-        self._rows: dict[LandmarkId, int] = {}
-        """of the landmarks in it; none of an earlier solution"""
-
-    def update(self, last: int) -> None:
-        """Take in that there is a new solution, whose last pose has this key."""
-        self._has_read, self._poses, self._rows = False, None, {}
-        self._head.update(last)
 
     def poses_at(self, updates: Sequence[int]) -> Array:
         """(m, 3) the poses of updates that are solved."""
@@ -347,19 +330,18 @@ class Solution:
 
     def joint_covariance(self, ids: Sequence[LandmarkId], pending: Odometry) -> Array:
         """(3 + 2k, 3 + 2k) of the pose after a motion since the solution and of the landmarks; KeyError for others."""
-        landmarks, cov = self.landmarks(), self._head.cov()
+        landmarks, cov = self.landmarks(), self.cov()
         keys = [landmarks.keys[i] for i in ids]
         if not keys:
-            return self._head.propagated(cov, pending)
+            return self.propagated(cov, pending)
         # GTSAM answers in the order of the query, each variable in its own tangent.
-        to_world, of_head = [landmarks.by_tangent[i] for i in ids], self._head.is_solved
-        joint = self._solver.covariance([*self._head.keys, *keys] if of_head else keys)
-        to_axes = diagonal([*([self._head.to_world()] if of_head else []), *to_world])
-        joint = to_axes @ joint @ to_axes.T
+        of_head = [self.to_world()] if self.keys else []
+        to_axes = diagonal([*of_head, *(landmarks.by_tangent[i] for i in ids)])
+        joint = to_axes @ self._solver.covariance([*self.keys, *keys]) @ to_axes.T
         if not of_head:  # landmarks of an earlier run, and the start
             joint = diagonal([cov, joint])
         joint[: len(cov), : len(cov)] = cov
-        joint = self._head.propagated(0.5 * (joint + joint.T), pending)
+        joint = self.propagated(0.5 * (joint + joint.T), pending)
         self._joint, self._pending = joint.copy(), pending
         self._rows = {i: 3 + 2 * k for k, i in enumerate(ids)}
         return joint
