@@ -16,7 +16,8 @@ from sixthsense.config import AssumedConfig, Config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, predict
+from sixthsense.core.landmark_kernels import predictions
+from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, odometry
 from sixthsense.evaluation.effective import whitened_errors
@@ -204,7 +205,9 @@ def landmark_errors(
     rng = np.random.default_rng(seed)  # the same random numbers each time, so that only `assumed` differs
     kinds, errors, covs, false = [], [], [], 0
     for sample in samples:
-        true = predict(sample.truth, landmarks, np.zeros(len(landmarks), dtype=np.bool_))[0]  # (M, 2), robot frame
+        true = predictions(sample.truth.triple(), landmarks, np.zeros(len(landmarks), dtype=np.bool_))[
+            0
+        ]  # (M, 2), robot frame
         for observation in extract(sample.scan, assumed, config.features, rng).observations:
             gaps = observation.z - true
             gap = gaps[np.argmin((gaps**2).sum(axis=1))] if len(gaps) else np.full(2, math.inf)

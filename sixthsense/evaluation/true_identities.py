@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig, LaserNoise
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Observation, innovations, predict
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmark_kernels import predictions
+from sixthsense.core.landmarks import Observation
 from sixthsense.core.laser import beam_angles
 from sixthsense.core.motion import variance
 from sixthsense.core.ray_casting import hit_walls
@@ -141,8 +142,9 @@ def distinguished(first: Identity, second: Identity, seen: Identified, position:
     if seen.fit_cov is None or "point" in (first[0], second[0]):
         return first != second
     faces = np.array([_face_line(scene, face) for face in (first, second)])
-    both, _, _ = predict(Pose(position[0], position[1], 0.0), faces, np.ones(len(faces), dtype=np.bool_))
-    off = innovations(both[0], both[1], np.array(True))
+    both, _, _ = predictions((position[0], position[1], 0.0), faces, np.ones(len(faces), dtype=np.bool_))
+    off = both[0] - both[1]
+    off[0] = wrap_angle(float(off[0]))
     return float(off @ np.linalg.solve(seen.fit_cov, off)) >= _SIGMAS**2
 
 

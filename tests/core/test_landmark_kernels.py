@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of, stacked, translations
-from sixthsense.core.landmarks import line_errors, predict
+from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each, stacked, translations
+from sixthsense.core.landmarks import line_errors
 from sixthsense.testing.sight import predict_points, predict_walls
 
 
@@ -25,12 +25,19 @@ def case(request):
 
 def test_predictions(case):
     _, pose, landmarks, walls = case
-    z, by_pose, by_landmark = predict(pose, landmarks, walls)
+    z, by_pose, by_landmark = predictions(pose.triple(), landmarks, walls)
     for some, predicted in ((walls, predict_walls), (~walls, predict_points)):
         expected = predicted(pose, landmarks[some])
         assert np.allclose(z[some], expected[0], atol=1e-12)
         assert np.allclose(by_pose[some], expected[1], atol=1e-12)
         assert np.allclose(by_landmark[some], np.broadcast_to(expected[2], (some.sum(), 2, 2)), atol=1e-12)
+
+
+def test_predictions_from_poses_of_their_own(case):
+    rng, _, landmarks, walls = case
+    poses = rng.normal(size=(12, 3)) * [3.0, 3.0, 1.0]
+    alone = [predictions(tuple(poses[k]), landmarks[[k]], walls[[k]])[0][0] for k in range(12)]
+    assert np.array_equal(seen_from_each(poses, landmarks, walls), alone)
 
 
 def test_translations(case):
@@ -61,7 +68,7 @@ def test_innovations(case):
 
 def test_the_stacked_jacobian(case):
     _, pose, landmarks, walls = case
-    _, by_pose, by_landmark = predict(pose, landmarks, walls)
+    _, by_pose, by_landmark = predictions(pose.triple(), landmarks, walls)
     H = stacked(by_pose, by_landmark, 5)
     change = np.random.default_rng(1).normal(size=5 + 2 * len(walls))
     expected = by_pose @ change[:3] + np.einsum("mij,mj->mi", by_landmark, change[5:].reshape(-1, 2))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of
+from sixthsense.core.landmark_kernels import innovations_of, seen_from_each
 from sixthsense.core.landmarks import Bend, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
@@ -360,12 +360,7 @@ class Observations:
         order = np.argsort(ids)
         landmark = landmarks[order[np.searchsorted(ids, rows["id"], sorter=order)]]
         z, cov, is_wall = (np.ascontiguousarray(rows[name]) for name in ("z", "cov", "wall"))
-        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        gap = landmark - pose[:, :2]
-        points = np.column_stack([c * gap[:, 0] + s * gap[:, 1], -s * gap[:, 0] + c * gap[:, 1]])
-        foot = np.cos(landmark[:, 0]) * pose[:, 0] + np.sin(landmark[:, 0]) * pose[:, 1]
-        walls = np.column_stack([wrap_angle(landmark[:, 0] - pose[:, 2]), landmark[:, 1] - foot])
-        off, cov = innovations_of(z, cov, np.where(is_wall[:, None], walls, points), is_wall)
+        off, cov = innovations_of(z, cov, seen_from_each(pose, landmark, is_wall), is_wall)
         return np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]), rows["factor"]
 
     def _append(self, pose: int, i: LandmarkId, seen: Observation, is_first: bool) -> None:

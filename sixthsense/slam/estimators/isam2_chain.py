@@ -18,8 +18,8 @@ from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmark_kernels import stacked
-from sixthsense.core.landmarks import Observation, predict
+from sixthsense.core.landmark_kernels import predictions, stacked
+from sixthsense.core.landmarks import Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators.base import Link
@@ -160,7 +160,7 @@ def map_gain(
     `joint` (3 + 2m, 3 + 2m) is of the pose and the landmarks (m, 2) before the observations. What they say of pose and
     landmarks together is what they say of the landmarks, and of the pose once these are known.
     """
-    _, by_pose, by_landmark = predict(pose, landmarks, walls)
+    _, by_pose, by_landmark = predictions(pose.triple(), landmarks, walls)
     H = stacked(by_pose, by_landmark, 3)
     noise = diagonal([observation.cov for observation in observations])
     if_known = joint[:3, :3] - joint[:3, 3:] @ np.linalg.solve(joint[3:, 3:], joint[3:, :3])

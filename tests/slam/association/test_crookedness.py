@@ -5,8 +5,8 @@ import pytest
 from scanned import look
 
 from sixthsense.config import preset
-from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import WallShape, initialize_landmark, innovations
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import WallShape, initialize_landmark
 from sixthsense.slam.association.records import Crookedness, MeanShape, less_certain
 from sixthsense.slam.features import extract
 from sixthsense.testing.sight import predict_walls
@@ -64,7 +64,8 @@ def _nis(before, after, first, candidates, excess):
     known = jacobian @ less_certain(first, square).cov @ jacobian.T
     found = []
     for second in candidates:
-        off = innovations(second.z[None], predicted, np.array([True]))[0]
+        off = second.z - predicted[0]
+        off[0] = wrap_angle(float(off[0]))
         overlap = min(first.extent[1], second.extent[1] + 0.1) - max(first.extent[0], second.extent[0] + 0.1)
         if overlap > 0.7 * (first.extent[1] - first.extent[0]):
             found.append(float(off @ np.linalg.solve(known + less_certain(second, square).cov, off)))

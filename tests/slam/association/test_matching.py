@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmark_kernels import innovations_of, stacked
-from sixthsense.core.landmarks import Kind, Observation, predict
+from sixthsense.core.landmark_kernels import innovations_of, predictions, stacked
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Observed
 from sixthsense.slam.association.records import less_certain
@@ -25,7 +25,7 @@ def case(request):
     estimate = Estimate(pose, joint[:3, :3], np.arange(4), landmarks, WALLS)
     own = rng.normal(size=(4, 2, 2)) * 0.1
     covs = own @ own.transpose(0, 2, 1)
-    z, _, _ = predict(pose, landmarks, WALLS)
+    z, _, _ = predictions(pose.triple(), landmarks, WALLS)
     seen = [
         Observation(Kind.WALL if wall else Kind.END, z[k] + 0.1 * rng.normal(size=2), covs[k], (0.5, 2.0))
         for k, wall in enumerate(WALLS)
@@ -35,7 +35,7 @@ def case(request):
 
 def pairwise(seen, estimate, joint):
     """Innovations of all pairs, their covariances, those of the predictions and these with the pose."""
-    z, by_pose, by_landmark = predict(estimate.pose, estimate.landmarks, estimate.walls)
+    z, by_pose, by_landmark = predictions(estimate.pose.triple(), estimate.landmarks, estimate.walls)
     H = stacked(by_pose, by_landmark, 3)
     n, found = len(z), []
     for observation in seen:

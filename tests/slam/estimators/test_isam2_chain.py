@@ -10,7 +10,8 @@ from laws.nees import assert_consistent, error_of, normalised
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, predict
+from sixthsense.core.landmark_kernels import predictions
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link
 from sixthsense.slam.estimators.isam2_chain import map_gain
@@ -58,7 +59,7 @@ def test_the_gain_is_what_the_observations_say_of_the_landmarks():
     true = estimate.pose
     seen = sight(true, estimate.ids.tolist(), np.random.default_rng(1))
     found = map_gain(true, joint, estimate.landmarks, estimate.walls, [seen[i] for i in estimate.ids.tolist()])
-    _, by_pose, by_landmark = predict(true, estimate.landmarks, estimate.walls)
+    _, by_pose, by_landmark = predictions(true.triple(), estimate.landmarks, estimate.walls)
     H = np.zeros((10, 13))
     H[:, :3] = by_pose.reshape(10, 3)
     for k in range(5):
