@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -57,6 +60,8 @@ class Live(OnNetwork, WithPriorMap):
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, arg("TOPIC")] = "/cmd_vel"
     """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
+    transform_timeout: Annotated[float, Range(0.0, 10.0), arg("S")] = 0.2
+    """Date the transform of the map in /tf so many seconds later than its scan."""
 
     @classmethod
     def main(cls, args: list[str]) -> int:
@@ -68,6 +73,7 @@ class Live(OnNetwork, WithPriorMap):
                 raise InputError(name, "found on a robot", "with run")
         network = options.network()
         from sixthsense.api import with_task
+        from sixthsense.live.robot import RESET
         from sixthsense.live.session import Session, Topics, check_drive
         from sixthsense.running.runs import RunHooks, run_live
         from sixthsense.running.warmup import prepare
@@ -88,26 +94,40 @@ class Live(OnNetwork, WithPriorMap):
                 raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
         prior = options.prior_start()
         prepare(announce, config, of_log=not options.drive)
-        with Session(network, topics, config, announce) as session:
+        ahead_s = options.transform_timeout
+        with Session(network, topics, config, announce, ahead_s) as session, live_view(options) as hooks:
             session.configure(options.drive)
             config = session.config
             source = {"scan": topics.scan, "odom": topics.odom}
             if frames is not None:
                 source["odometry_frames"] = ",".join(frames)
-            with (
-                run_folder(options, config, f"live-{config.estimator}", source, prior) as folder,
-                live_view(options) as hooks,
-            ):
-                run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
-                for line in session.notices.summary():
-                    announce(line)
-                return show_end(run, options.verbose)
+            for one in _numbered(options):
+                with run_folder(one, config, f"live-{config.estimator}", source, prior) as folder:
+                    run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
+                    for line in session.notices.summary():
+                        announce(line)
+                    code = show_end(run, options.verbose)
+                    if run.outcome != RESET:
+                        return code
+                    prior = None  # a new map was asked for
+        raise AssertionError("numbers do not end")
+
+
+def _numbered(options: Live) -> Iterator[Live]:
+    """The options of a run and of those that begin with a reset, in the folders OUT, OUT-2, OUT-3."""
+    yield options
+    for number in itertools.count(2):
+        out = options.out
+        yield options if out is None else dataclasses.replace(options, out=out.with_name(f"{out.name}-{number}"))
 
 
 def _base(drive: bool) -> Config:
-    """The preset of real robots; with landmarks in a filter where the robot is driven, which answers sooner."""
-    changes = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
-    return merge(preset("log"), changes if drive else {})
+    """The preset of real robots; with landmarks in a filter where the robot is driven, which answers sooner.
+
+    The final pass would keep every scan in memory until the end.
+    """
+    driven = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
+    return merge(preset("log"), {"scans": {"final_pass": False}, **(driven if drive else {})})
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ class AheadPilot(Pilot):
         self._step: Step | None = None
         self._since_scan = Pose()  # motion from the last scan to the last step
         self._guarded = Pose()  # motion from the last scan that the guard knows of
+        self._is_blind = False  # since the robot was placed elsewhere, without a scan there
         self._command = Command()
 
     def steer(self, step: Step) -> Command:
@@ -26,13 +27,19 @@ class AheadPilot(Pilot):
             self._since_scan = self._since_scan @ step.increment.motion
         if step.scan is not None:
             self._since_scan = self._guarded = Pose()
+            self._is_blind = False
+        elif step.increment is not None and step.increment.is_carried():
+            self._is_blind = True
         self.look(step)
         self._step = step
         return self._command
 
     def ahead(self, motion: Pose, stamp_ns: int) -> Command:
-        """The command of a robot that has moved by `motion` since the last step; a standstill before the first one."""
-        if self._step is None:
+        """The command of a robot that has moved by `motion` since the last step; a standstill before the first scan.
+
+        It stands, too, after it was placed elsewhere, until there is a scan from there.
+        """
+        if self._step is None or self._is_blind:
             return Command()
         since_scan = self._since_scan @ motion
         self.guard.moved(self._guarded.inverse() @ since_scan)

@@ -196,11 +196,10 @@ class ScanJoiner:
             found += self._odometry_before(self._odometry[-1][0] - HOLD_NS)
         return found
 
-    def place(self, T: Pose) -> None:
-        """Move the odometry since it has begun anew, and all that follows, to `T @ pose`."""
-        assert self.anew is not None
+    def place(self, T: Pose, since_ns: int) -> None:
+        """Move the odometry since a time, and all that follows, to `T @ pose`; what is before it is let go."""
         self.T_old_odom = T @ self.T_old_odom
-        self._odometry = [(t, T @ pose) for t, pose in self._odometry if t >= self.anew.time_ns]
+        self._odometry = [(t, T @ pose) for t, pose in self._odometry if t >= since_ns]
 
     def _odometry_before(self, time_ns: int) -> list[Tick]:
         """Ticks of the odometry before a time that have not been made yet; the last one is kept to interpolate."""

@@ -160,6 +160,10 @@ class MapSender:
         self._process.kill()
         self._queue.cancel_join_thread()
 
+    def begin_anew(self) -> None:
+        """The next map that is offered is another one."""
+        self._parts, self._keyframes = Parts(), 0
+
     def offer(self, stamp_ns: int, trace: Trace) -> None:
         """Give on what keyframes have changed, at most every two seconds and if the last part is sent: none waits."""
         keyframes, now_s = len(trace.key_stamps_ns), time.monotonic()

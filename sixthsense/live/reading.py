@@ -11,16 +11,17 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from sixthsense.config.section import shown_name
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
-from sixthsense.record.messages import Messages
+from sixthsense.record.messages import WORLD, Messages
 from sixthsense.sources.logs.laser_geometry import FARTHEST_M
 from sixthsense.sources.logs.ros_messages import (
     LASER_SCAN,
     ODOMETRY,
     frame_name,
     planar,
+    planar_covariance,
     scan,
     stamp_ns,
     transform,
@@ -30,7 +31,11 @@ from sixthsense.sources.logs.transforms import FramePair, TransformTree
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+SWITCH, EMPTY = "std_msgs/msg/Bool", "std_msgs/msg/Empty"
+
 _MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8, TWIST_STAMPED: 1 << 10}
+_MOST_BYTES |= {POSE: 1 << 11, SWITCH: 1 << 6}
 _LONGEST_FRAME = 256  # letters of the name of a frame
 _MOST_FRAMES = 1000
 _MOST_KINDS = 50
@@ -109,6 +114,17 @@ class MessageReader:
         if not (abs(speed) <= _FASTEST and abs(turn_rate) <= _FASTEST):  # false for NaN
             raise ValueError(f"found a command of {speed} m/s and {turn_rate} rad/s, allowed: up to {_FASTEST:g}")
         return Command(speed, turn_rate)
+
+    def pose_in_map(self, data: bytes) -> tuple[Pose, Array]:
+        """The pose of a PoseWithCovarianceStamped in the frame of the map, and its (3, 3) covariance."""
+        message = self.read(data, POSE)
+        if (frame := frame_name(message.header.frame_id)) != WORLD:
+            raise ValueError(f"found a pose in the frame {shown_name(frame)}, allowed: in {WORLD}")
+        return planar(message.pose.pose.position, message.pose.pose.orientation), planar_covariance("pose", message)
+
+    def switch(self, data: bytes) -> bool:
+        """The value of a Bool."""
+        return bool(self.read(data, SWITCH).data)
 
 
 class LaserReader:

@@ -10,25 +10,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.laser import sweep_ns
+from sixthsense.core.se2 import turned_covariance
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, OdometryReset, Publishers, ScanJoiner, SilenceDetector
 from sixthsense.live.network import Message
 from sixthsense.live.offset import ClockOffset
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
+from sixthsense.live.requests import Request, Reset, SetPose
 from sixthsense.record.trace import Trace
 from sixthsense.slam.relocalization import MOST_DRIVEN_M, Relocalizer
 
-ANOTHER_ROBOT, LOST = "another robot", "lost"
+ANOTHER_ROBOT, LOST, RESET = "another robot", "lost", "reset"
 """outcomes of a run that the robot itself ends"""
 
 _NEAR_M = 0.25
 """A robot that can have driven no farther while it sent nothing is taken to stand where it was."""
 
-_SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place found: so large that the robot counts as carried there
+_CARRIED_COV = np.diag([0.3, 0.3, 0.1]) ** 2  # of a place, at least: so large that the robot counts as carried there
 _WAIT_S = 0.02
 _ANNOUNCED_NS = 12_000_000_000  # after which a killed program is not announced any more: 10 s, and some to notice it
 
@@ -52,13 +54,13 @@ class Search:
     if it had not begun anew.
     """
 
-    def __init__(self, trace: Trace, last: Tick, anew: OdometryReset) -> None:
-        """Begin with the map so far; `last` is the newest tick with a scan that the map has."""
+    def __init__(self, trace: Trace, T_odom_map: Pose, anew: OdometryReset) -> None:
+        """Begin with the map so far, and the map in the frame of the odometry before it began anew."""
         grid = trace.draw_map()
         assert grid is not None
         self.anew = anew
-        self._T_odom_map = last.odometry @ Pose.from_array(trace.estimates[-1]).inverse()
-        T_map_stood = self._T_odom_map.inverse()
+        self._T_odom_map = T_odom_map
+        T_map_stood = T_odom_map.inverse()
         expected = (T_map_stood, T_map_stood @ anew.T_stood_went)
         self._relocalizer = Relocalizer(grid.submap(), trace.config, expected)
 
@@ -73,13 +75,14 @@ class Search:
         return None if found is None else self._T_odom_map @ found
 
 
-def placed(tick: Tick, T: Pose) -> Tick:
-    """The tick with its odometry moved by `T` to a place that was found; no wheel has measured the way there.
+def placed(tick: Tick, T: Pose, cov: Array = _CARRIED_COV) -> Tick:
+    """The tick with its odometry moved by `T` to another place; no wheel has measured the way there.
 
-    Its scan is left out: the next one is not distorted by the step.
+    `cov` (3, 3) is of the place, axes of the robot at the tick before. The scan is left out: the next one is not
+    distorted by the step.
     """
-    cov = np.diag([_SIGMA_M, _SIGMA_M, _SIGMA_RAD]) ** 2
-    return dataclasses.replace(tick, odometry=T @ tick.odometry, scan=None, increment_cov=cov)
+    raised = cov + np.diag(np.maximum(np.diag(_CARRIED_COV) - np.diag(cov), 0.0))
+    return dataclasses.replace(tick, odometry=T @ tick.odometry, scan=None, increment_cov=raised)
 
 
 class LiveRobot:
@@ -94,21 +97,29 @@ class LiveRobot:
         trace: Trace,
         steering: Steering | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
+        requests: Callable[[], Iterable[Request]] = tuple,
     ) -> None:
         """`receive(timeout_s)` waits for messages at most so long; `now_ns` is the time of their arrival.
 
-        `trace` is the record of the run, in whose map a lost robot is searched.
+        `trace` is the record of the run, in whose map a lost robot is searched. `requests` are those of the user since
+        the last call.
         """
         self.joiner = ScanJoiner(trace.config.robot)
         self._offset = ClockOffset()
         self.odom_frame = "odom"
         self.outcome: str | None = None
         """why the run ends, None as long as the robot can be used"""
-        self._receive, self._now_ns = receive, now_ns
+        self.is_paused = False
+        """whether scans are left out"""
+        self.takes_start = steering is None
+        """whether a pose that is set before the first scan is where the map begins"""
+        self._receive, self._requests, self._now_ns = receive, requests, now_ns
         self._reader, self._laser, self._notices, self._steering = reader, laser, notices, steering
         self._trace = trace
         self._has_no_odometry = trace.config.no_odometry
         self._search: Search | None = None
+        self._asked: SetPose | None = None  # which no odometry has been moved to
+        self._place_cov: Array | None = None  # of a pose that was set, until a tick is there
         self._publishers = {is_scan: Publishers() for is_scan in (False, True)}
         self._is_restarted = False  # the driver, since the odometry that was used last
         self._shared_ns: int | None = None  # since when the commands have a second subscriber
@@ -116,16 +127,17 @@ class LiveRobot:
         self._scans, self._odometry = (SilenceDetector(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
         self._due: deque[Tick] = deque()
         self._last: Tick | None = None
-        self._last_scan: Tick | None = None
+        self._T_odom_map: Pose | None = None  # by the last keyframe, which SLAM goes on from with the odometry since
         self._newest: tuple[int, Pose] | None = None  # odometry that the robot has not been steered by
 
     def step(self, command: Command) -> Tick | None:
         """Wait for the next tick; None when the run is to end. The robot is steered meanwhile."""
+        key_stamps_ns = self._trace.key_stamps_ns
+        if self._last is not None and key_stamps_ns and self._last.stamp_ns == key_stamps_ns[-1]:
+            self._T_odom_map = self._last.odometry @ self._trace.key_estimates[-1].pose.inverse()
         if not self._wait():
             return None
         self._last = self._due.popleft()
-        if self._last.scan is not None:
-            self._last_scan = self._last
         return self._last
 
     def begin(self) -> Pose | None:
@@ -148,6 +160,9 @@ class LiveRobot:
     def _turn(self) -> None:
         """Take what has arrived, and steer by it."""
         self._take_messages()
+        for request in self._requests():
+            self._heed(request)
+        self._set_pose()
         self._take_ticks(self.joiner.ticks(self._now_ns()))
         self._tell()
         self._steer()
@@ -206,21 +221,61 @@ class LiveRobot:
             "its driver was started again" if self._is_restarted else "faster than `robot.speed` and `robot.turn_rate`"
         )
         text = f"odometry has jumped by {anew.jump_m:.1f} m after {anew.pause_s:.1f} s, {why}"
-        if anew.reach_m <= _NEAR_M or self._last_scan is None or not self._trace.estimates:
+        if anew.reach_m <= _NEAR_M or self._T_odom_map is None:
             self._say("odometry jumped", f"{text}; the robot is taken to stand where it was")
             return
         if self._search is not None:
             anew = anew._replace(time_ns=self._search.anew.time_ns)
-        self._search = Search(self._trace, self._last_scan, anew)
+        self._search = Search(self._trace, self._T_odom_map, anew)
         self._say("odometry jumped", f"{text}; the pose is unknown and searched in the map")
 
+    def _heed(self, request: Request) -> None:
+        """Do what the user asks; a pose is set when there is odometry."""
+        if isinstance(request, SetPose):
+            self._asked = request
+        elif isinstance(request, Reset):
+            if self._T_odom_map is not None:
+                self._end(RESET, "a new map is asked for")
+        elif request.is_paused != self.is_paused:
+            self.is_paused = request.is_paused
+            text = "paused: scans are left out" if self.is_paused else "the pause is over; the map goes on"
+            self._say("paused" if self.is_paused else "pause over", text)
+
+    def _set_pose(self) -> None:
+        """Move the odometry, from its newest message on, to the pose that was asked for.
+
+        Before the first tick the map begins there.
+        """
+        asked, newest = self._asked, self.joiner.newest
+        begins = self._last is None and self.takes_start
+        if asked is None or newest is None or not (begins or self._T_odom_map):
+            return
+        self._asked, (newest_ns, pose) = None, newest
+        T_odom_map = self._T_odom_map or Pose()
+        if self._last is not None:
+            if self._has_no_odometry:
+                self._say("pose refused", "a pose is left out: without odometry the first scan alone can have one")
+                return
+            heading = (T_odom_map.inverse() @ self._last.odometry).theta
+            self._place_cov = np.asarray(turned_covariance(asked.cov, -heading))
+        self.joiner.place(T_odom_map @ asked.T_map_robot @ pose.inverse(), newest_ns)
+        self._search, self._newest = None, None
+        x, y, theta = asked.T_map_robot.array()
+        self._say("pose set", f"the pose is set to {x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f}°")
+
     def _take_ticks(self, ticks: Sequence[Tick]) -> None:
-        """Pass on ticks; those of a lost robot are searched for its place."""
+        """Pass on ticks; those of a lost robot are searched for its place. While paused they have no scan."""
         for tick in ticks:
+            if self.is_paused and tick.scan is not None:
+                self._notices.dropped["scan while paused"] += 1
+                tick = dataclasses.replace(tick, scan=None)
+            if self._place_cov is not None:
+                tick, self._place_cov = placed(tick, Pose(), self._place_cov), None
             if self._search is None or tick.stamp_ns < self._search.anew.time_ns:
                 self._due.append(tick)
             elif (T := self._search.take(tick)) is not None:
-                self.joiner.place(T)
+                assert self.joiner.anew is not None
+                self.joiner.place(T, self.joiner.anew.time_ns)
                 self._due.append(placed(tick, T))
                 self._search, self._newest = None, None
                 self._say("place found", "the robot's place in the map is found; the map goes on")
@@ -243,6 +298,7 @@ class LiveRobot:
         if self._steering is None or self._newest is None or self._last is None or self._due:
             return
         is_unable = self._has_second_subscriber() or self.outcome is not None or self._search is not None
+        is_unable |= self.is_paused or self._place_cov is not None
         if is_unable or self._scans.is_silent or self._odometry.is_silent:
             self._stop()
             return

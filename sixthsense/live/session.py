@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from sixthsense.live.maps import MapSender
 from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Publisher, Stamped
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
+from sixthsense.live.requests import Requests
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
 from sixthsense.loop.run import OnTick, recorded_drive
@@ -75,18 +77,31 @@ class Topics(NamedTuple):
 class Session:
     """A network joined to listen to one robot, and to drive it if told so."""
 
-    def __init__(self, network: Network, topics: Topics, config: Config, say: Callable[[str], object]) -> None:
-        """Join the network and subscribe; `say` prints a line. `configure` and `run` follow."""
+    def __init__(
+        self,
+        network: Network,
+        topics: Topics,
+        config: Config,
+        say: Callable[[str], object],
+        transform_ahead_s: float = 0.0,
+    ) -> None:
+        """Join the network and subscribe; `say` prints a line. `configure` and `run` follow.
+
+        The transform of the map is dated `transform_ahead_s` later than its scan.
+        """
+        self._transform_ahead_s = transform_ahead_s
         self._network, self._node = network, Node(network)
         self._topics, self._say = topics, say
         self.config = config
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
         self._reader = MessageReader(topics.frames)
+        self._requests = Requests(self._node, self._reader, self.notices)
         self._frames = TransformTree()
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
         self._odometry = self._node.reader(topics.odometry)
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
+        self._advertise = functools.cache(self._node.writer)  # a run that follows another one writes with the same
         self._wait: Callable[[float], object] = self._node.wait
         self._commands: str | None = None  # their type
         self._open = contextlib.ExitStack()
@@ -131,7 +146,10 @@ class Session:
         self.config = dataclasses.replace(self.config, laser=laser, robot=robot)
 
     def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
-        """Run the loop until the task is over, or until the command is ended; the robot is then stopped."""
+        """Run the loop until the task is over, or until the command is ended; the robot is then stopped.
+
+        A run that ends as "reset" is to be followed by another one.
+        """
         config = self.config
         radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M
         guard = Guard(config, radius_m)
@@ -143,15 +161,20 @@ class Session:
                 believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
                 pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
                 kind = self._commands or TWIST
-                writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
+                writer = self._advertise(Topic(self._topics.cmd_vel, kind, RELIABLE))
                 clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)
                 send = stack.enter_context(Commands(writer.send, clock if kind == TWIST_STAMPED else None)).send
                 steering = Steering(ahead, send, lambda: writer.readers)
             self._wait = trace.stopwatch.waiting(self._node.wait)
-            robot = LiveRobot(self._received, self._reader, self._laser, self.notices, trace, steering)
+            requests = self._requests.take
+            robot = LiveRobot(
+                self._received, self._reader, self._laser, self.notices, trace, steering, requests=requests
+            )
+            robot.takes_start &= prior is None or prior.pose is None
             if config.no_odometry:
                 robot.odom_frame = self._frames.root(self._laser.frame)
-            publisher = Publisher(self._node, robot, self._maps.offer)
+            publisher = Publisher(self._advertise, robot, self._maps.offer, self._transform_ahead_s)
+            self._maps.begin_anew()
 
             def on_tick(tick: Tick, trace: Trace) -> None:
                 publisher(tick, trace)
@@ -170,6 +193,7 @@ class Session:
     def _received(self, timeout_s: float) -> Iterator[Received]:
         """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
         self._wait(timeout_s)
+        self._requests.listen()
         for data in self._transforms.take():
             try:
                 self._reader.add_transforms(data, self._frames)

@@ -76,7 +76,8 @@ def saved(name: str, config: Config, replayed: Mapping[str, str] | None = None) 
     return config
 
 
-DRIVEN = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
+LIVE = {"scans": {"final_pass": False}}
+DRIVEN = LIVE | {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
 DRIVE, REGION = "live --drive --region -1 -2 3 4", {"region": (-1.0, -2.0, 3.0, 4.0)}
 BASES: dict[str, Config] = {
     "run": preset(),
@@ -90,7 +91,7 @@ BASES: dict[str, Config] = {
     "replay robots": preset("mrclam"),
     "replay first": preset("report", seed=3),
     "merge first second": preset("report", seed=3),
-    "live": preset("log"),
+    "live": preset("log", **LIVE),
     DRIVE: merge(preset("log"), DRIVEN | REGION),
 }
 

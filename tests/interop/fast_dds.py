@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from processes import start
 
@@ -70,6 +71,18 @@ def test_a_robot_is_driven_to_a_place(peer, tmp_path):
         run.communicate(timeout=120)
         heard = told(one)
     assert run.returncode == 0 and heard["/cmd_vel"]["count"] > 20 and heard["worst_m"] < 0.1
+
+
+def test_a_user_pauses_a_run_sets_its_pose_and_begins_a_new_map(peer, tmp_path):
+    with robot(peer, "--ask"):
+        run = live(tmp_path, "--max-time", "15")
+        _, err = run.communicate(timeout=120)
+    said = ("paused: scans", "the pause is over", "the pose is set to 11.30 m, -7.20 m, 40°", "a new map is asked for")
+    assert run.returncode == 0 and all(line in err for line in said)
+    first, second = (ss.load(tmp_path / name).trace for name in ("x", "x-2"))
+    assert (first.outcome, second.outcome) == ("reset", "time is up")
+    assert max(np.diff(first.stamps_ns)) > 1.5e9 and len(first.carried_scans()) == 1
+    assert np.hypot(*(first.estimates[-1][:2] - (11.3, -7.2))) < 1.0 > np.hypot(*second.estimates[0][:2])
 
 
 def test_scans_on_another_clock_are_set_right(peer, tmp_path):

@@ -37,7 +37,7 @@ namespace maps = map_msgs::msg::dds_;
 struct Options {
     int domain = 0, beams = 360;
     double seconds = 20.0, hz = 10.0, ahead_s = 0.0;
-    bool listens = false, obeys = false, is_best_effort = false;
+    bool listens = false, obeys = false, is_best_effort = false, asks = false;
     std::string peer;
 };
 
@@ -224,6 +224,43 @@ private:
     DataWriter *scans_, *odometry_, *static_;
 };
 
+// Two seconds after the first pose a pause, and its end, a pose, and a reset, each two seconds after the one before.
+class User {
+public:
+    explicit User(Peer& peer) {
+        pause_ = peer.writer<std_msgs::msg::dds_::Bool_PubSubType>("/pause", true);
+        pose_ = peer.writer<geometry::PoseWithCovarianceStamped_PubSubType>("/initialpose", true);
+        reset_ = peer.writer<std_msgs::msg::dds_::Empty_PubSubType>("/reset", true);
+    }
+    void step() {
+        std::unique_lock<std::mutex> guard(lock);
+        const double first_s = heard["/pose"].first_s;
+        guard.unlock();
+        if (first_s < 0.0 || asked_ == 4 || since_s() < first_s + 2.0 * (asked_ + 1)) return;
+        if (asked_ < 2) {
+            std_msgs::msg::dds_::Bool_ m;
+            m.data(asked_ == 0);
+            pause_->write(&m);
+        } else if (asked_ == 2) {
+            geometry::PoseWithCovarianceStamped_ m;
+            stamp(m.header(), 1, "map");
+            m.pose().pose().position().x(11.3);
+            m.pose().pose().position().y(-7.2);
+            m.pose().pose().orientation().z(std::sin(0.35));
+            m.pose().pose().orientation().w(std::cos(0.35));
+            for (int k : {0, 7, 35}) m.pose().covariance()[k] = k == 35 ? 0.07 : 0.25;
+            pose_->write(&m);
+        } else {
+            std_msgs::msg::dds_::Empty_ m;
+            reset_->write(&m);
+        }
+        ++asked_;
+    }
+private:
+    int asked_ = 0;
+    DataWriter *pause_, *pose_, *reset_;
+};
+
 Options parsed(int argc, char** argv) {
     Options o;
     for (int k = 1; k < argc; ++k) {
@@ -237,6 +274,7 @@ Options parsed(int argc, char** argv) {
         else if (word == "--peer") o.peer = next();
         else if (word == "--listen") o.listens = true;
         else if (word == "--obey") o.obeys = true;
+        else if (word == "--ask") o.asks = true;
         else if (word == "--best-effort") o.is_best_effort = true;
         else { std::fprintf(stderr, "%s: unknown\n", word.c_str()); std::exit(2); }
     }
@@ -256,9 +294,11 @@ int main(int argc, char** argv) {
     std::printf("%.3f\n", std::chrono::duration<double>(now).count());  // when it has joined
     std::fflush(stdout);
     std::unique_ptr<Robot> robot(options.listens ? nullptr : new Robot(peer, options));
+    std::unique_ptr<User> user(options.asks ? new User(peer) : nullptr);
     auto due = Clock::now();
     for (int k = 0; !is_over && since_s() < options.seconds; ++k) {
         if (robot) robot->step(k);
+        if (user) user->step();
         due += std::chrono::milliseconds(10);
         std::this_thread::sleep_until(due);
     }

@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.source import Command
+from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard
@@ -50,6 +50,44 @@ def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_t
             assert (other.speed, other.turn_rate) == pytest.approx((command.speed, command.turn_rate), abs=1e-6)
             moved += command != Command()
     assert moved > 300
+
+
+class MotionOfGuard(Guard):
+    """Keeps by how much the robot is said to have moved since the scan."""
+
+    moved_since = Pose()
+
+    def moved(self, motion: Pose) -> None:
+        self.moved_since = self.moved_since @ motion
+
+
+def test_the_guard_is_told_the_motion_since_the_scan_in_the_axes_of_the_robot_at_the_scan():
+    guard = MotionOfGuard(CONFIG, 0.2)
+    pilot = AheadPilot(Forward(), guard)
+    world = World(HALL, Pose(0.5, 0.3, 0.7), 0.2, CONFIG, np.random.default_rng(0))
+    with Slam(CONFIG, Pose(0.5, 0.3, 0.7)) as slam:
+        pilot.steer(slam.take(world.step(Command())))
+        for k, motion in enumerate((Pose(0.2, 0.1, 0.9), Pose(0.3, -0.2, 1.7), Pose(-0.1, 0.4, 2.2))):
+            pilot.ahead(motion, k)
+            assert guard.moved_since.array() == pytest.approx(motion.array(), abs=1e-12)
+
+
+def test_a_robot_that_was_carried_stands_until_a_scan_has_shown_where_it_is():
+    pilot = AheadPilot(Forward(), Guard(CONFIG, 0.2))
+    world = World(HALL, Pose(0.5, 0.3, 0.7), 0.2, CONFIG, np.random.default_rng(0))
+    first = world.step(Command())
+    assert first is not None and first.scan is not None
+    stamps = [first.stamp_ns + 10_000_000 * k for k in range(4)]
+    with Slam(CONFIG, Pose(0.5, 0.3, 0.7)) as slam:
+        pilot.steer(slam.take(first))
+        assert pilot.ahead(Pose(), 1).speed > 0.0
+        cov = np.diag([0.3, 0.2, 0.1]) ** 2
+        pilot.steer(slam.take(Tick(stamps[1], first.odometry @ Pose(3.0, -1.0, 0.4), increment_cov=cov)))
+        assert pilot.ahead(Pose(), 2) == Command()
+        pilot.steer(slam.take(Tick(stamps[2], first.odometry @ Pose(3.01, -1.0, 0.4))))
+        assert pilot.ahead(Pose(), 3) == Command()
+        pilot.steer(slam.take(Tick(stamps[3], first.odometry @ Pose(3.02, -1.0, 0.4), first.scan)))
+        assert pilot.ahead(Pose(), 4).speed > 0.0
 
 
 def test_a_pilot_without_a_step_stands():

@@ -9,7 +9,18 @@ import pytest
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
-from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices
+from sixthsense.live.reading import (
+    EMPTY,
+    POSE,
+    SWITCH,
+    TRANSFORMS,
+    TWIST,
+    TWIST_STAMPED,
+    LaserReader,
+    MessageReader,
+    Notices,
+)
+from sixthsense.live.requests import PAUSE, RESET, SET_POSE, Pause, Reset, read_request
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.transforms import FramePair, TransformTree
@@ -199,3 +210,32 @@ def test_damaged_bytes_are_a_value_error(name, seed):
             read(bytes(data))
         except ValueError as error:
             assert "\n" not in str(error)
+
+
+COV = np.array([[0.25, 0.03, 0.0], [0.03, 0.16, 0.01], [0.0, 0.01, 0.07]])
+
+
+def pose_message(frame: str = "map", cov: np.ndarray = COV) -> bytes:
+    return MAKE.serialized(MAKE.estimate(STAMP, Pose(1.2, -3.4, 0.7), cov, frame), POSE)
+
+
+def test_a_user_asks_for_a_pose_a_pause_or_a_new_map():
+    reader, kinds = MessageReader(), MAKE.store.types
+    asked = read_request(reader, pose_message("/map"), SET_POSE)
+    assert asked.T_map_robot.array() == pytest.approx((1.2, -3.4, 0.7)) and asked.cov == pytest.approx(COV)
+    for value in (True, False):
+        assert read_request(reader, MAKE.serialized(kinds[SWITCH](value), SWITCH), PAUSE) == Pause(value)
+    assert read_request(reader, MAKE.serialized(kinds[EMPTY](0), EMPTY), RESET) == Reset()
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (pose_message("odom"), "found a pose in the frame odom, allowed: in map"),
+        (pose_message(cov=-COV), "pose: found an eigenvalue of "),
+        (pose_message()[:60], "found a message that cannot be read"),
+    ],
+)
+def test_a_pose_in_another_frame_or_with_an_impossible_covariance_is_refused(data, said):
+    with pytest.raises(ValueError, match=said):
+        read_request(MessageReader(), data, SET_POSE)

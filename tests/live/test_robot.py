@@ -15,6 +15,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
+from sixthsense.live.requests import Pause, Request, Reset, SetPose
 from sixthsense.live.robot import LiveRobot, Steering, placed
 from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.guard import Guard
@@ -35,6 +36,12 @@ WALLS = np.array([CORNERS, np.roll(CORNERS, -1, axis=0).tolist()], dtype=np.floa
 START, ELSEWHERE = Pose(2.0, 1.0), Pose(7.0, 2.0, 2.0)
 PAUSE_MS = 7000
 T_MAP_ODOM = Pose(1.5, -0.7, 0.8)  # the map is not in the frame of odometry, as with the map of an earlier run
+
+
+def taken(requests: list[Request]) -> list[Request]:
+    """The requests, which are then gone."""
+    found, requests[:] = requests[:], []
+    return found
 
 
 class Forward(Navigator):
@@ -64,7 +71,9 @@ class Bench:
         notices = Notices(self.lines.append)
         receive, now_ns = self._receive, lambda: self.now_ms * MS
         trace = Trace(preset(**config), None, 0.2)
-        self.robot = LiveRobot(receive, reader, laser, notices, trace, steering if drives else None, now_ns)
+        self.requests: list[Request] = []
+        steers = steering if drives else None
+        self.robot = LiveRobot(receive, reader, laser, notices, trace, steers, now_ns, lambda: taken(self.requests))
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
     def ahead(self, motion: Pose, stamp_ns: int) -> Command:
@@ -253,6 +262,12 @@ class Driver:
         self.now_ms, self.off_ms = 0, off_ms
         self.place, self.T_anew_world = place, T_anew_world
         self.name = "driver"
+        self.requests: dict[int, Request] = {}
+        """by the time from which they are there, ms"""
+        self.sent: dict[int, Pose] = {}
+        """odometry by stamp"""
+        self.odom_in_map: dict[int, Pose] = {}
+        """what is published, by the stamp of the scan"""
         self.world = self._at(START)
         self.truths: dict[int, Pose] = {}
 
@@ -270,23 +285,35 @@ class Driver:
         stamp_ns = BEGAN + self.now_ms * MS
         self.truths[stamp_ns] = tick.truth
         pose = tick.odometry if self.name == "driver" else self.T_anew_world @ tick.odometry
+        self.sent[stamp_ns] = pose
         found = [(False, MAKE.serialized(MAKE.odometry(stamp_ns, pose, None), ODOMETRY))]
         if tick.scan is not None:
             found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, tick.scan), LASER_SCAN)))
         return [(is_scan, Message(data, self.name)) for is_scan, data in found]
 
+    def due(self) -> list[Request]:
+        return [self.requests.pop(ms) for ms in sorted(self.requests) if ms <= self.now_ms]
+
 
 def run(
-    driver: Driver, max_time_s: float, steering: Callable[[Guard], Steering] | None = None
+    driver: Driver,
+    max_time_s: float,
+    steering: Callable[[Guard], Steering] | None = None,
+    T_map_odom: Pose = T_MAP_ODOM,
 ) -> tuple[Trace, LiveRobot, list[str]]:
     config, lines = merge(CONFIG, {"max_time": max_time_s}), []
     trace, reader, guard = Trace(config, None, 0.2), MessageReader(), Guard(config, 0.2)
     laser, notices = LaserReader(reader, CONFIG.laser.max_range, Pose()), Notices(lines.append)
     steers = None if steering is None else steering(guard)
-    robot = LiveRobot(driver.receive, reader, laser, notices, trace, steers, lambda: driver.now_ms * MS)
+    robot = LiveRobot(driver.receive, reader, laser, notices, trace, steers, lambda: driver.now_ms * MS, driver.due)
     start = robot.begin()
     assert start is not None
-    recorded_drive(robot, T_MAP_ODOM @ start, Pilot(Navigator(), guard), trace)
+
+    def odom_in_map(tick: Tick, trace: Trace) -> None:
+        if tick.scan is not None:
+            driver.odom_in_map[tick.stamp_ns] = robot.odom_in_map(tick, Pose.from_array(trace.estimates[-1]))
+
+    recorded_drive(robot, T_map_odom @ start, Pilot(Navigator(), guard), trace, odom_in_map)
     return trace, robot, lines
 
 
@@ -337,3 +364,80 @@ def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
     assert robot.outcome == "lost" and sent[-1] == Command()
     assert lines[-1] == "the robot's place in the map is not found; the robot is stopped"
     assert trace.stamps_ns[-1] <= BEGAN + driver.off_ms * MS
+
+
+# --- what a user asks of a run
+
+COV = np.array([[0.36, 0.05, 0.0], [0.05, 0.16, 0.01], [0.0, 0.01, 0.05]])
+NEVER_MS = 10**6
+
+
+def test_a_pose_that_is_set_is_that_of_the_robot_from_then_on_as_uncertain_as_it_is_said_to_be():
+    driver, wanted = Driver(None, Pose(), NEVER_MS), Pose(-3.0, 5.0, 2.2)
+    driver.requests[4400] = SetPose(wanted, COV)
+    trace, _, lines = run(driver, 5.4)
+    asked_ns = BEGAN + 4400 * MS
+    assert lines[0] == "the pose is set to -3.00 m, 5.00 m, 126°"
+    after = [k for k, stamp in enumerate(trace.stamps_ns) if stamp > asked_ns]
+    assert len(after) > 5 and trace.stamps_ns[after[0]] <= asked_ns + 300 * MS
+    for k in after:
+        expected = wanted @ driver.truths[asked_ns].inverse() @ driver.truths[trace.stamps_ns[k]]
+        found = Pose.from_array(trace.estimates[k])
+        assert found.position == pytest.approx(expected.position, abs=0.02)
+        published = driver.odom_in_map[trace.stamps_ns[k]] @ driver.sent[trace.stamps_ns[k]]
+        assert published.position == pytest.approx(found.position, abs=1e-6)
+    key = trace.key_estimates[trace.last_key[after[0]]]
+    assert key.pose_cov[:2, :2] == pytest.approx(COV[:2, :2], abs=0.02)
+    assert key.pose_cov[2, 2] == pytest.approx(0.05, abs=0.003)
+    assert trace.carried_scans() == [after[0]]
+
+
+def test_a_map_begins_where_the_robot_is_said_to_be_before_the_first_scan():
+    driver, wanted = Driver(None, Pose(), NEVER_MS), Pose(-3.0, 5.0, 2.2)
+    driver.requests[0] = SetPose(wanted, COV)
+    trace, _, lines = run(driver, 1.0, T_map_odom=Pose())
+    assert lines == ["the pose is set to -3.00 m, 5.00 m, 126°"] and not trace.carried_scans()
+    first_ns = trace.stamps_ns[0]
+    expected = wanted @ driver.truths[BEGAN + 20 * MS].inverse() @ driver.truths[first_ns]
+    assert trace.estimates[0] == pytest.approx(expected.array(), abs=0.01)
+    assert (driver.odom_in_map[first_ns] @ driver.sent[first_ns]).array() == pytest.approx(trace.estimates[0])
+
+
+def test_a_paused_run_takes_no_scans_and_goes_on_where_the_robot_has_driven_meanwhile():
+    driver = Driver(None, Pose(), NEVER_MS)
+    driver.requests |= {3000: Pause(True), 8000: Pause(False)}
+    trace, robot, lines = run(driver, 10.0)
+    seconds = (np.array(trace.stamps_ns) - BEGAN) * 1e-9
+    assert lines == ["paused: scans are left out", "the pause is over; the map goes on"]
+    assert not np.any((seconds > 3.1) & (seconds < 8.0)) and np.count_nonzero(seconds > 8.0) > 10
+    assert robot.joiner.dropped.total() == 0
+    driver.off_ms = 8000
+    assert errors_m(trace, driver).max() < 0.03 and not trace.carried_scans()
+
+
+def test_a_driven_robot_stands_while_the_run_is_paused_and_until_it_has_seen_where_it_was_set_to(bench):
+    bench.run(1000)
+    bench.requests.append(Pause(True))
+    bench.run(2000)
+    assert bench.commands(1060) == {Command()}
+    bench.requests.append(Pause(False))
+    bench.run(3000)
+    assert bench.sent[-1][1] == FORWARD
+    bench.robot._T_odom_map = Pose(3.0, 4.0, 0.5)
+    bench.requests.append(SetPose(Pose(1.0, 2.0, 0.3), COV))
+    bench.run(3300)
+    stood_ms = [ms for ms, command in bench.sent if ms > 3000 and command == Command()]
+    assert stood_ms and max(stood_ms) - 3000 <= 240
+    assert bench.sent[-1][1] == FORWARD
+
+
+def test_a_reset_ends_a_run_that_has_a_map_and_stops_the_robot(bench):
+    bench.requests.append(Reset())
+    bench.run(1000)
+    assert bench.robot.outcome is None and bench.sent[-1][1] == FORWARD
+    bench.robot._T_odom_map = Pose(3.0, 4.0, 0.5)
+    bench.requests.append(Reset())
+    while bench.robot.step(Command()) is not None:
+        assert bench.now_ms < 1100
+    assert bench.robot.outcome == "reset" and bench.sent[-1][1] == Command()
+    assert bench.lines == ["a new map is asked for; the robot is stopped"]

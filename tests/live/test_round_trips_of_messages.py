@@ -127,12 +127,14 @@ def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     robot, sink, estimate = robot_whose_clock_was_set_back_an_hour(T_old_odom), Sink(), key @ since
     trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
     offered: list[Any] = []
-    publish = Publisher(sink, robot, lambda *of: offered.append(of))
+    publish = Publisher(sink.writer, robot, lambda *of: offered.append(of), 0.37)
+    robot.is_paused = True
     publish(Tick(time_ns, odometry), trace)
     assert not any(sink.sent.values())
     publish(Tick(time_ns, odometry, a_scan()), trace)
     (pose,), ((link,),) = sink.sent["/pose"], (message.transforms for message in sink.sent["/tf"])
-    assert {stamp_ns(message) for message in (pose, link)} == {time_ns - HOUR} and offered == [(time_ns - HOUR, trace)]
+    assert (stamp_ns(pose), stamp_ns(link)) == (time_ns - HOUR, time_ns - HOUR + 370 * MS)
+    assert offered == [(time_ns - HOUR, trace)]
     assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (estimate.x, estimate.y)
     assert 2.0 * math.atan2(pose.pose.pose.orientation.z, pose.pose.pose.orientation.w) == estimate.theta
     # Against adjoints: the error in the axes of the keyframe, brought to those of the robot and of the world.
@@ -148,6 +150,12 @@ def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     T_map_odom = Pose(link.transform.translation.x, link.transform.translation.y,
                       2.0 * math.atan2(link.transform.rotation.z, link.transform.rotation.w))  # fmt: skip
     assert (link.header.frame_id, link.child_frame_id) == ("map", "wheels")
+    publish(Tick(time_ns + HOUR, Pose()), trace)  # it stands while paused, and no pose is known
+    (again,) = sink.sent["/tf"][1].transforms
+    assert again.transform == link.transform and stamp_ns(again) == time_ns + 370 * MS
+    robot.is_paused = False
+    publish(Tick(time_ns + 2 * HOUR, Pose()), trace)
+    assert (len(sink.sent["/pose"]), len(sink.sent["/tf"])) == (1, 2)
     at = T_map_odom @ (T_old_odom.inverse() @ odometry)
     assert at.position == pytest.approx(estimate.position, abs=1e-9)
     assert wrap_angle(at.theta - estimate.theta) == pytest.approx(0.0, abs=1e-9)
@@ -188,8 +196,8 @@ def test_the_place_that_is_found_moves_the_odometry_since_it_began_anew_and_all_
     for k, pose in enumerate(way):
         joiner.add_odometry((50 + k) * MS, pose, k)
     moved, odometry = T @ (way[1] @ way[2].inverse()), way[3] @ Pose(0.02, 0.01, 0.04)
-    joiner.place(T)
     assert joiner.anew is not None and joiner.anew.time_ns == 52 * MS
+    joiner.place(T, 52 * MS)
     joiner.add_scan(53 * MS, a_scan(), 4)
     assert [tick.stamp_ns for tick in joiner.ticks(4)] == [52 * MS, 53 * MS]
     joiner.add_odometry(54 * MS, odometry, 5)

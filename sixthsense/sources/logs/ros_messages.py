@@ -191,8 +191,13 @@ def increment_covariance(cov: Array | None, is_unmeasured: bool = False) -> Arra
 
 def read_increment_covariance(message: Any) -> Array | None:
     """(3, 3) from a message with `increment_covariance`, None if zero; ValueError for an invalid covariance."""
+    return planar_covariance("increment", message) if float(message.pose.covariance[14]) > 0.0 else None
+
+
+def planar_covariance(name: str, message: Any) -> Array:
+    """(3, 3) of x, y, yaw in a message whose pose has a covariance; ValueError naming it if it is invalid."""
     cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
-    return check_covariance("increment", cov6[_PLANE]) if cov6[2, 2] > 0.0 else None
+    return check_covariance(name, cov6[_PLANE])
 
 
 def closure_of(message: Any, number: int) -> Closure:
@@ -200,9 +205,8 @@ def closure_of(message: Any, number: int) -> Closure:
     before = int(message.header.frame_id)
     if not 0 <= before < number:
         raise ValueError(f"found a loop closure with tick {before} at tick {number}, allowed: an earlier one")
-    cov = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[_PLANE]
     motion = planar(message.pose.pose.position, message.pose.pose.orientation)
-    return Closure(before, motion, check_covariance("closure", cov))
+    return Closure(before, motion, planar_covariance("closure", message))
 
 
 def is_unmeasured(message: Any) -> bool:
