@@ -30,11 +30,10 @@ from .config import load_config as load_config
 from .config import merge as merge
 from .config import preset as preset
 from .config import save_config as save_config
-from .config.errors import InputError as InputError
+from .config.errors import InputError as InputError, PartError as PartError
 from .slam.estimators import Estimate as Estimate
 from .slam.estimators import Estimator as Estimator
 from .slam.estimators import make_estimator as make_estimator
-from .slam.estimators import register_estimator as register_estimator
 from .slam.features import Features as Features
 from .slam.features import extract as extract
 from .slam.slam import Slam as Slam
@@ -52,7 +51,6 @@ from .sources.logs.log import read_relations as read_relations
 from .navigation.planners import Plan as Plan
 from .navigation.planners import Planner as Planner
 from .navigation.planners import make_planner as make_planner
-from .navigation.planners import register_planner as register_planner
 from .figures.plot import save_map as save_map
 from .evaluation.results import Metrics as Metrics
 from .sources.scene import Scene as Scene

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from sixthsense.config import Config, Section, merge, preset
+from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute
@@ -57,8 +57,8 @@ def run(
         Fields of the configuration by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
         `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
         sections as tables, `laser={"beams": 181}`, or as objects, `laser=ss.LaserConfig(beams=181)`: what they state
-        replaces the preset's values. `estimator` and `planner` may be a class or function of your own (see
-        `ss.register_estimator`).
+        replaces the preset's values. `estimator` and `planner` may be a class or function of your own at the top level
+        of a module, or its import path, "lab.fading:Fading"; their options are `estimator_options={"gain": 0.9}`.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def run(
     """
     from sixthsense.sources.mission import mission_of
 
-    given = _register_custom(fields)
+    given = dict(fields)
     prior = _prior_start(prior_map, given)
     config, task = mission_of(with_task(_of_scene(scene, given), given))
     with reserved(out, config, overwrite, prior=prior) as folder:
@@ -133,7 +133,7 @@ def replay(
     """
     from sixthsense.sources.replay_input import LogSelection
 
-    given = _register_custom(fields)
+    given = dict(fields)
     prior = _prior_start(prior_map, given)
     if isinstance(log, (str, Path)):
         chosen = LogSelection(topics, robot, odometry_frames, units)
@@ -186,7 +186,7 @@ def merge_runs(
     check_options(first, fields, LogSelection())
     for run in (first, second):
         check_out(run, None if out is None else Path(out))
-    config = _apply_fields(load_config(Path(first) / "config.toml"), _register_custom(fields))
+    config = _apply_fields(load_config(Path(first) / "config.toml"), fields)
     merged = open_merged(Path(first), Path(second), config, relations)
     with reserved(out, merged.config, overwrite, merged.files) as folder:
         return replay_merged(merged, folder, _watch(on_tick, progress))
@@ -266,22 +266,3 @@ def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
     if isinstance(base, Config) and "preset" in given:
         raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
     return merge(base if isinstance(base, Config) else preset(base), given)
-
-
-def _register_custom(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields, sections as tables, with custom estimators and planners registered and replaced by their names."""
-    from sixthsense.navigation.planners import register_planner
-    from sixthsense.slam.estimators import register_estimator
-
-    given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
-    registers: dict[str, Callable[[str, Any], None]] = {"estimator": register_estimator, "planner": register_planner}
-    for field, register in registers.items():
-        value = given.get(field)
-        if callable(value):
-            name = getattr(value, "__name__", type(value).__name__)
-            try:
-                register(name, value)
-            except ValueError as error:
-                raise InputError(field, str(error)) from None
-            given[field] = name
-    return given

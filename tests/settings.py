@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from sixthsense.config import Config, Range, Section
-from sixthsense.config.names import Names
+from sixthsense.config.parts import PartOptions, Parts
 
 STATED = {
     "scene": "rectangle", "preset": "worn", "goal": (1.25, -0.75), "start": (-1.25, -0.4, 0.3),
@@ -24,7 +24,7 @@ def other(hint: Any, value: Any, step: float) -> Any:
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
         for note in args[1:]:
-            if isinstance(note, Names):
+            if isinstance(note, Parts):
                 return next(name for name in note if name != value)
             if isinstance(note, Range):
                 return next(found for found in candidates(args[0], value, step) if found in note)
@@ -52,7 +52,7 @@ def fields(section: type[Section] = Config, path: str = "") -> Iterator[tuple[st
         hint = hints[field.name]
         if isinstance(hint, type) and issubclass(hint, Section):
             yield from fields(hint, f"{path}{field.name}.")
-        else:
+        elif hint is not PartOptions:
             yield path + field.name, hint, getattr(section(), field.name)
 
 
@@ -81,6 +81,8 @@ def flat(section: Section, path: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in dataclasses.fields(section):  # type: ignore[arg-type]
         value = getattr(section, field.name)
+        if isinstance(value, PartOptions):
+            continue
         found |= flat(value, f"{path}{field.name}.") if isinstance(value, Section) else {path + field.name: value}
     return found
 

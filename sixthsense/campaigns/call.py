@@ -16,7 +16,7 @@ from sixthsense.campaigns.worker import FAILED
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
-from sixthsense.config.names import ESTIMATORS, PLANNERS, Names
+from sixthsense.config.parts import KINDS
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
 from sixthsense.evaluation.groups import LABELS, RunTable, Sample
@@ -115,7 +115,8 @@ def campaign(
         Whether to show a progress bar; by default in a notebook and at a terminal.
     **fields
         Fields of the configuration by name, for all runs. `estimator`, `preset` and `planner` may be lists: the
-        campaign compares their values.
+        campaign compares their values. Parts of your own must be of modules that the workers can import; those with
+        options take `estimator_options`, `planner_options`.
 
     Raises
     ------
@@ -140,8 +141,9 @@ def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given
         if name in given:
             raise InputError(name, "found for a campaign", f"{name}s")
     axes = {axis: _values(axis, given.pop(axis, getattr(default, axis))) for axis in AXES if axis != "scene"}
-    _check_known("estimator", axes["estimator"], ESTIMATORS)
-    _check_known("planner", axes["planner"], PLANNERS)
+    for parts in KINDS:
+        if parts.kind in axes:
+            axes[parts.kind] = tuple(map(parts.name_of, axes[parts.kind]))
     return campaign_of({**axes, "scene": [str(text) for text in texts]}, _seeds(seeds), given, task_of(given))
 
 
@@ -151,14 +153,6 @@ def _values(axis: str, value: Any) -> tuple[Any, ...]:
     if not values:
         raise InputError(axis, f"found {shown(value)}", "one value or several")
     return values
-
-
-def _check_known(axis: str, values: tuple[Any, ...], names: Names) -> None:
-    """Raise InputError for a value that only this process knows, since the workers are other processes."""
-    for value in values:
-        if callable(value) or (value in names and value not in names.shipped):
-            known = ", ".join(names.shipped)
-            raise InputError(axis, f"found {shown(value)}, which the workers do not know", known)
 
 
 def _seeds(seeds: Any) -> list[int]:
@@ -225,7 +219,8 @@ class Campaign(RunTable):
         if axes not in self._settings:
             values = dict(zip(AXES, axes, strict=True))
             base = merge(preset(values.pop("preset")), self._fields)
-            self._settings[axes] = merge(base, values)
+            options = {f"{parts.kind}_options": self._fields.get(f"{parts.kind}_options", {}) for parts in KINDS}
+            self._settings[axes] = merge(base, {**values, **options})
         return self._settings[axes]
 
     def __len__(self) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaigns.plan import CampaignPlan, PlannedRun, import_extra
+from sixthsense.campaigns.plan import CampaignPlan, PlannedRun, import_extra, own_parts
 from sixthsense.campaigns.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
@@ -116,7 +116,8 @@ def check_workers(client: Any, campaign: CampaignPlan) -> int:
         if minor != python_minor():
             raise InputError(f"worker {address}", f"found Python {minor}", f"{python_minor()}")
     digests, map_unknown = campaign.digests(), campaign.bases()[0].map_unknown
-    answers = client.run(describe, list(digests), map_unknown, on_error="return")
+    parts = own_parts(campaign.settings())
+    answers = client.run(describe, list(digests), map_unknown, parts, on_error="return")
     for address, answer in answers.items():
         if isinstance(answer, BaseException):
             raise InputError(
@@ -124,6 +125,9 @@ def check_workers(client: Any, campaign: CampaignPlan) -> int:
             )
         if answer["sixthsense"] != __version__:
             raise InputError(f"worker {address}", f"found version {answer['sixthsense']} of sixthsense", __version__)
+        for missing in answer["missing"]:
+            found = f"{missing.partition(', allowed')[0]} (Python {answer['python']} in {answer['environment']})"
+            raise InputError(f"worker {address}", found, "the module of the part in the worker's environment")
         for scene, digest in digests.items():
             if answer["scenes"][scene] != digest:
                 raise InputError(

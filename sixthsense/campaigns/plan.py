@@ -17,7 +17,9 @@ from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.errors import import_extra as import_of_extra
 from sixthsense.config.files import absolute
+from sixthsense.config.parts import KINDS, options_class
 from sixthsense.config.section import shown
+from sixthsense.config.tree import check_parts
 
 AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
 """fields of the configuration that a campaign may vary, besides the seed"""
@@ -59,7 +61,8 @@ class CampaignPlan:
     def settings(self) -> list[Config]:
         """The configuration of every combination of the axes but the seed, with seed 0.
 
-        Raises InputError for a name or field that is not allowed, InputError for a scene, start or goal.
+        Raises InputError for a name or field that is not allowed, for a scene, start or goal, and for a part that no
+        worker can import.
         """
         from sixthsense.sources.mission import mission, with_people
         from sixthsense.sources.scene import load_scene
@@ -72,9 +75,33 @@ class CampaignPlan:
                 at_scene = with_people(loaded, dataclasses.replace(base, scene=scene))
                 mission(loaded, at_scene)
                 for planner, estimator in itertools.product(self.values["planner"], self.values["estimator"]):
-                    names = {"planner": planner, "estimator": estimator, "seed": 0}
-                    found.append(merge(at_scene, names))
+                    found.append(with_parts(at_scene, self.fields, planner=planner, estimator=estimator))
         return found
+
+
+def with_parts(base: Config, fields: Mapping[str, Any], **names: str) -> Config:
+    """The configuration with parts of these names and seed 0; a part that has options takes those of `fields`.
+
+    Raises InputError for a part that cannot be imported, or whose options are others.
+    """
+    table: dict[str, Any] = {**names, "seed": 0}
+    for parts in KINDS:
+        options, name = f"{parts.kind}_options", names.get(parts.kind, getattr(base, parts.kind))
+        if name.startswith("__main__:"):
+            found = f"found {name}, which is of the program that is running"
+            raise InputError(parts.kind, found, "a class or function of a module, which the workers import")
+        if name not in parts.shipped:
+            factory = parts.load(name)
+            table[options] = fields.get(options, {}) if options_class(factory) else {}
+    config = merge(base, table)
+    check_parts(config)
+    return config
+
+
+def own_parts(settings: Iterable[Config]) -> list[tuple[str, str]]:
+    """Kind and name of each part in some configurations that is not shipped."""
+    found = ((parts, getattr(one, parts.kind)) for one in settings for parts in KINDS)
+    return sorted({(parts.kind, name) for parts, name in found if name not in parts.shipped})
 
 
 @dataclass(frozen=True, slots=True)

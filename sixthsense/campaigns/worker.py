@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import socket
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from typing import Any, Literal
 
 from sixthsense.campaigns.plan import config_hash, scene_digest
 from sixthsense.config import Config
+from sixthsense.config.parts import KINDS
 from sixthsense.config.version import __version__
 
 FAILED = "error"
@@ -31,15 +33,29 @@ def python_minor() -> str:
     return ".".join(platform.python_version_tuple()[:2])
 
 
-def describe(scenes: Sequence[str], map_unknown: Literal["wall", "free"]) -> dict[str, Any]:
-    """What must be equal on all workers: the versions and the scenes' hashes."""
+def describe(
+    scenes: Sequence[str], map_unknown: Literal["wall", "free"], parts: Sequence[tuple[str, str]] = ()
+) -> dict[str, Any]:
+    """What must be equal on all workers: the versions, the scenes' hashes, and why a part cannot be imported."""
+    missing = []
+    for kind, name in parts:
+        try:
+            next(known for known in KINDS if known.kind == kind).load(name)
+        except ValueError as error:
+            missing.append(str(error))
     digests = {}
     for scene in scenes:
         try:
             digests[scene] = scene_digest(scene, map_unknown)
         except ValueError as error:
             digests[scene] = str(error)
-    return {"sixthsense": __version__, "python": python_minor(), "scenes": digests}
+    return {
+        "sixthsense": __version__,
+        "python": python_minor(),
+        "scenes": digests,
+        "missing": missing,
+        "environment": sys.prefix,
+    }
 
 
 def row_of(config: Config) -> dict[str, Any]:

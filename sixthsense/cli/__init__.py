@@ -8,9 +8,10 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sixthsense.config.errors import InputError, nearest
+from sixthsense.config.errors import InputError, PartError, nearest
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
@@ -41,6 +42,7 @@ COMMANDS = {
     "report": ("report", "RUN_DIR ...", "figures of runs, or of a campaign"),
     "audit": ("audit", "ESTIMATE ...", "is a covariance as large as its errors?"),
     "scenes": ("listing", "[SCENE]", "list the shipped scenes, or draw one"),
+    "parts": ("listing", "", "list what can be replaced: estimators, planners, ..."),
     "completion": ("listing", "SHELL", "print a completion script for bash, zsh or fish"),
 }
 """by name: the module of this package that has its class; arguments and purpose, a line of the usage"""
@@ -72,6 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     0: done; 1: the robot failed; 2: bad input; 130, 143, 129: ended by Ctrl-C, SIGTERM, SIGHUP.
     """
     args = list(sys.argv[1:] if argv is None else argv)
+    with contextlib.suppress(OSError):  # of a folder that is gone
+        if not {"", str(here := Path.cwd())} & set(sys.path):
+            sys.path.append(str(here))  # where a user's own parts are looked for last
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     with command_signals() as signals:
         try:
@@ -126,6 +131,9 @@ def _run(args: list[str]) -> int:
         from sixthsense.cli.options import with_options
 
         return _report_error(with_options(error, command_class(args[0])) if args[0] in COMMANDS else str(error))
+    except PartError as error:
+        _report_error("; ".join([str(error), *getattr(error, "__notes__", ())]))
+        return FAILED
     except MemoryError as error:
         return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]))
     except OSError as error:

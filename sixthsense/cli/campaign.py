@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
-from sixthsense.cli.options import Options, Table, arg, parse, positional
-from sixthsense.config import Range, is_of_replay, load_config, preset, prior_map_of
+from sixthsense.cli.options import Options, Table, arg, is_of_part, of_parts, parse, positional
+from sixthsense.config import Range, is_of_replay, load_config, merge, preset, prior_map_of
 from sixthsense.config.errors import InputError
-from sixthsense.config.names import ESTIMATORS, PLANNERS
+from sixthsense.config.parts import ESTIMATORS, PLANNERS
 from sixthsense.config.tree import task_of
 
 
@@ -55,6 +56,9 @@ class Campaign(Options):
     def main(cls, args: list[str]) -> int:
         """Make the runs of a campaign that are missing in its folder."""
         given, table = parse(args, Campaign)
+        if any(map(is_of_part, args)):
+            parts = (of_parts(merge(preset(), {k: v})) for k in ("estimator", "planner") for v in given.get(k, ()))
+            given, table = parse(args, Campaign, chain(*parts))
         options = Campaign(**given)
         out = _checked_folder(options, table)
         from sixthsense.campaigns import Execution, complete

@@ -14,7 +14,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from sixthsense.cli import EXIT_CODES, FAILED
-from sixthsense.cli.options import OptionalValue, Options, Table, arg, as_options, options_of, parse, positional
+from sixthsense.cli.options import (
+    OptionalValue,
+    Options,
+    Table,
+    arg,
+    as_options,
+    is_of_part,
+    of_parts,
+    options_of,
+    parse,
+    positional,
+)
 from sixthsense.config import Config, load_config, merge, preset, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
@@ -108,6 +119,15 @@ def parse_command(
     its field.
     """
     given, table = parse(args, command)
+    settings = _settings(command, given, table, base)
+    if any(map(is_of_part, args)):
+        given, table = parse(args, command, of_parts(settings))
+        settings = _settings(command, given, table, base)
+    return command(**given, settings=settings), table
+
+
+def _settings(command: type[C], given: Table, table: Table, base: Callable[[Any], str | Config] | None) -> Config:
+    """The configuration from preset, file and flags."""
     argument = next((option.name for option in options_of(command) if option.is_positional), "")
     start = command.base if base is None else base(given.get(argument))
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
@@ -118,7 +138,7 @@ def parse_command(
             raise InputError("preset", found, "one of the two")
         settings = load_config(given["config"], settings if named is None else None)
     flags = {name: value for name, value in table.items() if name != "preset"}
-    return command(**given, settings=merge(settings, flags)), table
+    return merge(settings, flags)
 
 
 def run_folder(

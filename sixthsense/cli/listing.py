@@ -1,4 +1,4 @@
-"""`sixthsense scenes` and `completion`."""
+"""`sixthsense scenes`, `parts` and `completion`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Annotated
 
 from sixthsense.cli import COMMANDS, DONE, command_class
 from sixthsense.cli.help import brief
-from sixthsense.cli.options import Option, Options, arg, options_of, parse, positional
+from sixthsense.cli.options import Option, Options, arg, flag_of, options_of, parse, positional
 from sixthsense.config import PRESETS
 from sixthsense.config.errors import InputError, nearest
+from sixthsense.config.parts import KINDS
 from sixthsense.sources.scene_files import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")
@@ -42,6 +43,26 @@ class Scenes(Options):
         file = options.out or Path("runs/scenes") / f"{scene.name}.png"
         save(scene.plot(), file)
         print(scene.summary(), *scene.notes, f"written to {file}", sep="\n")
+        return DONE
+
+
+@dataclass(frozen=True)
+class Parts(Options):
+    """List the parts that can be replaced: the shipped ones, and those that installed packages register.
+
+    One of your own is named by its import path, `--estimator lab.fading:Fading`, wherever a name is taken; the current
+    folder is searched, too. Its options are the fields of its class `Options`: `--estimator-options.gain 0.9`. A
+    package gives it a short name in the entry points of the group.
+    """
+
+    @classmethod
+    def main(cls, args: list[str]) -> int:
+        """List the parts."""
+        parse(args, Parts)
+        for parts in KINDS:
+            print(f"{flag_of(parts.kind)} (contract: {parts.seam}; group of entry points: {parts.group})")
+            for name, path in {**parts.shipped, **parts.installed()}.items():
+                print(f"  {name:16}{path}{'' if name in parts.shipped else ', installed'}")
         return DONE
 
 

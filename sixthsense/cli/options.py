@@ -10,7 +10,7 @@ import contextlib
 import dataclasses
 import re
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 from sixthsense.config import Config, Range, Section
 from sixthsense.config.errors import InputError, nearest
-from sixthsense.config.names import Names
+from sixthsense.config.parts import KINDS, PartOptions, Parts, options_class
 from sixthsense.config.section import checked, field_texts, hints_of, is_one_line, shown, shown_name
 
 T = TypeVar("T")
@@ -133,7 +133,7 @@ class Option:
     @property
     def choices(self) -> tuple[str, ...]:
         """The values, if they can be listed."""
-        if (names := self.note(Names)) is not None:
+        if (names := self.note(Parts)) is not None:
             return tuple(names)
         if self.kind is bool:
             return ("true", "false") if self.default is True else ()
@@ -170,24 +170,35 @@ def options_of(command: type[Options], settings: Config | None = None) -> list[O
     return [*own, *(option for option in others if option.flag not in taken)]
 
 
+def of_parts(config: Config) -> Iterator[Option]:
+    """The options of the configured parts that are not shipped; InputError for one that cannot be imported."""
+    for parts in KINDS:
+        name = getattr(config, parts.kind)
+        cls = None if name in parts.shipped else options_class(parts.load(name))
+        if cls is not None:
+            for field, hint in hints_of(cls).items():
+                yield Option(f"{parts.kind}_options.{field}", hint, getattr(cls(), field), cls)
+
+
 def of_section(section: Section, path: str = "") -> Iterator[Option]:
     """The options of all fields of a section, and of the sections in it, behind its own."""
     values = {name: getattr(section, name) for name in hints_of(type(section))}
     for name, value in values.items():
-        if not isinstance(value, Section):
+        if not isinstance(value, Section | PartOptions):
             yield Option(path + name, hints_of(type(section))[name], value, type(section))
     for name, value in values.items():
         if isinstance(value, Section):
             yield from of_section(value, f"{path}{name}.")
 
 
-def parse(args: list[str], command: type[Options]) -> tuple[Table, Table]:
+def parse(args: list[str], command: type[Options], parts: Iterable[Option] | None = None) -> tuple[Table, Table]:
     """Parse a command's arguments into its own options, checked, and the nested table of the Config fields.
 
+    `parts` are the options of parts; None as long as they are not known: then these are passed over.
     Raises InputError with the allowed values for an unknown option, a flag without a value and a positional argument
     too many; InputError for a value of an own option that is not allowed.
     """
-    options = {option.flag: option for option in options_of(command)}
+    options = {option.flag: option for option in (*options_of(command), *(parts or ()))}
     argument = next((option for option in options.values() if option.is_positional), None)
     own: dict[str, Option] = {}
     given: Table = {}
@@ -196,6 +207,10 @@ def parse(args: list[str], command: type[Options]) -> tuple[Table, Table]:
     words = args[::-1]  # the next word is the last element
     while words:
         word = words.pop()
+        if parts is None and command.takes_fields and is_of_part(word):
+            if "=" not in word and words and not words[-1].startswith("--"):
+                words.pop()
+            continue
         if word.startswith("-"):
             option, value = _read(word, words, options)
             before = option.note(OptionalValue) if word == option.flag else None
@@ -222,6 +237,11 @@ def parse(args: list[str], command: type[Options]) -> tuple[Table, Table]:
     return {name: checked(name, own[name].hint, value) for name, value in given.items()}, table
 
 
+def is_of_part(word: str) -> bool:
+    """Whether a word is an option of a part: `--estimator-options.gain`."""
+    return any(word.startswith(f"--{flag_name(parts.kind)}-options.") for parts in KINDS)
+
+
 def as_options(text: str) -> str:
     """A line for the terminal: names of fields and arguments, which are in backquotes, as options."""
     return re.sub(r"`([a-z_.]+)`", lambda found: flag_of(found[1]), text)
@@ -229,7 +249,12 @@ def as_options(text: str) -> str:
 
 def flag_of(name: str) -> str:
     """The option that sets a field, by its dotted name."""
-    return f"--{name.replace('_', '-')}"
+    return f"--{flag_name(name)}"
+
+
+def flag_name(name: str) -> str:
+    """A field's name as the command line has it."""
+    return name.replace("_", "-")
 
 
 def with_options(error: InputError, command: type[Options]) -> str:
@@ -238,6 +263,7 @@ def with_options(error: InputError, command: type[Options]) -> str:
     known = options_of(command)
     is_positional = any(option.is_positional and option.name == name for option in known)
     is_option = any(f"{option.flag}.".startswith(f"{flag_of(name)}.") for option in known)  # a section of options, too
+    is_option |= command.takes_fields and is_of_part(f"{flag_of(name)}.")
     where = "".join([flag_of(name), *rest]) if is_option and not is_positional else error.where
     return as_options(str(error.at(where)))
 

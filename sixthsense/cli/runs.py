@@ -19,7 +19,7 @@ from sixthsense.cli.common import (
 from sixthsense.cli.options import arg, positional
 from sixthsense.config import Config, is_of_replay
 from sixthsense.config.errors import InputError
-from sixthsense.config.names import OF_THE_ROBOT
+from sixthsense.config.parts import OF_THE_ROBOT
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,18 @@ class InputError(ValueError):
         return self.at(f"{where}: {self.where}" if self.where else where)
 
 
+class PartError(RuntimeError):
+    """A part that is not shipped raised an error, or returned what its contract does not allow."""
+
+    def __init__(self, part: str, found: str, when: str = "") -> None:
+        """Say which `part` it is, as "estimator lab.fading:Fading", what was `found`, and `when` in the run."""
+        super().__init__(part, found, when)
+        self.part, self.found, self.when = part, found, when
+
+    def __str__(self) -> str:
+        return f"{self.part}: {self.found}{', ' * bool(self.when)}{self.when}"
+
+
 def reason_of(error: BaseException, longest: int = 160) -> str:
     """What an error of a library says, for a message: one line of at most so many letters."""
     reason = " ".join(str(error).split()) or type(error).__name__

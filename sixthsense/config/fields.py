@@ -70,8 +70,10 @@ class Fields(_WorldFields, total=False):
 
     scene: str
     preset: str
-    estimator: str
-    planner: str
+    estimator: str | Callable[..., Any]
+    estimator_options: Table
+    planner: str | Callable[..., Any]
+    planner_options: Table
     seed: int
 
 
@@ -88,7 +90,9 @@ class RunFields(_WorldFields, _PriorMapFields, total=False):
 
     preset: str
     estimator: str | Callable[..., Any]
+    estimator_options: Table
     planner: str | Callable[..., Any]
+    planner_options: Table
     seed: int
 
 
@@ -96,6 +100,7 @@ class MergeFields(_EstimateFields, total=False):
     """Fields of `ss.merge_runs`."""
 
     estimator: str | Callable[..., Any]
+    estimator_options: Table
     seed: int
 
 
@@ -108,6 +113,8 @@ class ReplayFields(MergeFields, _PriorMapFields, total=False):
 class CampaignFields(_WorldFields, total=False):
     """Fields of `ss.campaign`: one value or several of what it compares."""
 
-    estimator: str | Sequence[str]
+    estimator: str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
+    estimator_options: Table
     preset: str | Sequence[str]
-    planner: str | Sequence[str]
+    planner: str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
+    planner_options: Table

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from sixthsense.config.errors import InputError, nearest
-from sixthsense.config.names import Names
+from sixthsense.config.parts import PartOptions, Parts
 
 C = TypeVar("C", bound="Section")
 
@@ -147,10 +147,10 @@ def checked(name: str, hint: Any, value: Any) -> Any:
     origin = typing.get_origin(hint)
     if origin is Annotated:
         base, *notes = typing.get_args(hint)
-        for names in (note for note in notes if isinstance(note, Names)):
-            if value not in names:
-                raise InputError(name, f"found {shown(value)}", ", ".join(names), nearest(value, names))
-            return value
+        for parts in (note for note in notes if isinstance(note, Parts)):
+            if (found := parts.name_of(value)) not in parts:
+                raise InputError(name, f"found {shown(value)}", str(parts), nearest(value, parts))
+            return found
         value = checked(name, base, value)
         for bounds in (note for note in notes if isinstance(note, Range)):
             if value not in bounds:
@@ -173,6 +173,8 @@ def checked(name: str, hint: Any, value: Any) -> Any:
         if not isinstance(value, (tuple, list)) or len(value) != len(args):
             raise InputError(name, f"found {shown(value)}", f"{len(args)} numbers")
         return tuple(checked(name, a, v) for a, v in zip(args, value, strict=True))
+    if hint is PartOptions:
+        return _part_options(name, value)
     if hint is float:
         real = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not real or not abs(typing.cast(float, value)) <= _LARGEST:  # false for NaN
@@ -190,6 +192,15 @@ def checked(name: str, hint: Any, value: Any) -> Any:
     if hint is str and not is_one_line(value):
         raise InputError(name, f"found {shown(value)}", "a text without line breaks or control characters")
     return value
+
+
+def _part_options(name: str, value: Any) -> PartOptions:
+    """Options of a part from a table, or from an object of the part's own dataclass."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InputError(name, f"found {shown(value)}", "a table")
+    return PartOptions({key.replace("-", "_"): one for key, one in value.items()})
 
 
 def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
@@ -228,7 +239,9 @@ def as_table(section: Section) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for f in dataclasses.fields(typing.cast(Any, section)):
         value = getattr(section, f.name)
-        if value is not None:
+        if isinstance(value, PartOptions):
+            table |= {f.name: dict(value)} if value else {}
+        elif value is not None:
             table[f.name] = as_table(value) if isinstance(value, Section) else value
     return table
 

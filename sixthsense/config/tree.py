@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
-from sixthsense.config.errors import InputError
-from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
-from sixthsense.config.section import Count, Range, Section, shown
+from sixthsense.config.errors import InputError, PartError, nearest, reason_of
+from sixthsense.config.parts import ESTIMATORS, FILTERS, KEEP_POSES, KINDS, PLANNERS, PartOptions, Parts, options_class
+from sixthsense.config.section import Count, Range, Section, checked, hints_of, shown
 from sixthsense.config.sections import (
     AssociationConfig,
     AssumedConfig,
@@ -36,8 +36,9 @@ class Config(Section):
     preset: str = "default"
     """Set of values: default, worn, noiseless, report, log, mrclam or victoria. A file and options override it."""
     estimator: Annotated[str, ESTIMATORS] = "ekf-invariant"
-    """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf or isam2. The first three are filters that stay consistent when
-    the robot turns, ekf is the report's filter, isam2 a smoother."""
+    """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf, isam2, or your own. The first three are filters that stay
+    consistent when the robot turns, ekf is the report's filter, isam2 a smoother; `sixthsense parts` says how one of
+    yours is named."""
     front_end: Literal["landmarks", "scan-matching"] = "landmarks"
     """What the estimator is given: landmarks or scan-matching. landmarks: observations of walls and points;
     scan-matching: relative poses of keyframes, for an estimator that keeps all poses, isam2. Logs with scans: isam2
@@ -52,7 +53,8 @@ class Config(Section):
     """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
     ignored."""
     planner: Annotated[str, PLANNERS] = "astar"
-    """Path planner: astar or rrtstar. astar: shortest over the grid's cells; rrtstar: sampled in the plane."""
+    """Path planner: astar, rrtstar, or your own. astar: shortest over the grid's cells; rrtstar: sampled in the
+    plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
     """Task: explore, goal or tour. explore: see all of the region, then drive home; goal: drive to a
     goal; tour: drive to a list of goals, again and again until max-time, or once without it."""
@@ -73,6 +75,10 @@ class Config(Section):
     its distance and its patience. None: where people walk in the simulated world."""
     map_unknown: Literal["wall", "free"] = "wall"
     """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
+    estimator_options: PartOptions = field(default_factory=PartOptions)
+    """Options of an estimator that is not shipped, by name."""
+    planner_options: PartOptions = field(default_factory=PartOptions)
+    """Options of a planner that is not shipped, by name."""
     robot: RobotConfig = field(default_factory=RobotConfig)
     laser: LaserConfig = field(default_factory=LaserConfig)
     world: WorldConfig = field(default_factory=WorldConfig)
@@ -95,6 +101,13 @@ class Config(Section):
         end an estimator that can use it. Without odometry the front end is scan matching.
         """
         table = dict(table)
+        for parts in KINDS:
+            options = f"{parts.kind}_options"
+            is_same = parts.kind not in table or parts.name_of(table[parts.kind]) == getattr(self, parts.kind)
+            if not is_same and options not in table and getattr(self, options):
+                table[options] = {}  # those were of another part
+            elif is_same and isinstance(table.get(options), Mapping):
+                table[options] = {**getattr(self, options), **table[options]}
         for name, other in (("goal", "tour"), ("tour", "goal")):
             if table.get(name) is not None and other not in table:
                 table[other] = None
@@ -121,6 +134,66 @@ class Config(Section):
             raise InputError(
                 "laser.sweep_s", f"found {self.laser.sweep_s:g}", f"at most {between:g}, the time between two scans"
             )
+
+
+class Part(NamedTuple):
+    """What a run is made with in one place."""
+
+    name: str
+    """kind and name"""
+    factory: Any
+    """the class or function that makes it"""
+    options: Any = None
+    """an object of its `Options`"""
+    is_shipped: bool = True
+
+    def make(self, *args: Any) -> Any:
+        """Make it; its options are the last argument, if it has any. Raises PartError for one that cannot be made."""
+        options = () if options_class(self.factory) is None else (self.options,)
+        if self.is_shipped:
+            return self.factory(*args, *options)
+        try:
+            return self.factory(*args, *options)
+        except InputError:
+            raise
+        except Exception as error:
+            found = f"cannot be made, it raised {type(error).__name__} ({reason_of(error)})"
+            raise PartError(self.name, found) from error
+
+
+def part_of(config: Config, parts: Parts) -> Part:
+    """The configured part of a kind; InputError for one that cannot be imported, and for options that it has not."""
+    name, given = getattr(config, parts.kind), getattr(config, f"{parts.kind}_options")
+    factory, section = parts.load(name), parts.sections.get(name)
+    if section is None:
+        options = part_options(parts.kind, factory, given)
+        return Part(f"{parts.kind} {name}", factory, options, name in parts.shipped)
+    if given:
+        raise InputError(f"{parts.kind}_options", f"found {', '.join(given)} for {name}", f"the section {section}")
+    return Part(f"{parts.kind} {name}", factory, getattr(config, section))
+
+
+def check_parts(config: Config) -> None:
+    """Raise InputError for a part that cannot be imported, and for options that it does not have."""
+    for parts in KINDS:
+        if getattr(config, parts.kind) not in parts.shipped or getattr(config, f"{parts.kind}_options"):
+            part_of(config, parts)
+
+
+def default_options(factory: Any) -> Any:
+    """An object of a part's `Options` without arguments; None of a part without."""
+    cls = options_class(factory)
+    return None if cls is None else cls()
+
+
+def part_options(kind: str, factory: Any, given: Mapping[str, Any]) -> Any:
+    """The options of a part with the values that are given, checked by the annotations of its dataclass."""
+    cls, where = options_class(factory), f"{kind}_options"
+    hints = {} if cls is None else hints_of(cls)
+    for name in given:
+        if name not in hints:
+            raise InputError(f"{where}.{name}", "no such option", ", ".join(hints) or "none", nearest(name, hints))
+    return None if cls is None else cls(**{k: checked(f"{where}.{k}", hints[k], value) for k, value in given.items()})
 
 
 def task_of(given: Mapping[str, Any]) -> dict[str, str]:

@@ -16,6 +16,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
+from sixthsense.loop.own_parts import OwnParts
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -46,12 +47,17 @@ def drive(
     watchers: Sequence[Watcher],
     clock: Stopwatch,
 ) -> str:
-    """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome."""
-    command = Command()
+    """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome.
+
+    Raises PartError that names a part which is not shipped, if it fails.
+    """
+    command, own_parts = Command(), OwnParts(slam.config, slam.estimator)
     while (tick := sensed(source, command, clock)) is not None:
-        step = slam.take(tick)
-        with clock.stage("plan"):
-            command = pilot.steer(step)
+        with own_parts.at(tick):
+            step = slam.take(tick)
+            own_parts.took(step)
+            with clock.stage("plan"):
+                command = pilot.steer(step)
         outcome: str | None = "collided" if tick.collided else pilot.navigator.outcome
         for watch in watchers:
             ended = watch(tick, step, command)

@@ -32,14 +32,15 @@ def make_navigator(
     `goals` (N, 2) are for the tasks goal and tour, `region` (x0, y0, x1, y1) for explore; world frame, metres. The
     region is enlarged to hold the start.
     """
+    from sixthsense.config.parts import PLANNERS
+    from sixthsense.config.tree import part_of
     from sixthsense.navigation.exploration import Exploration
     from sixthsense.navigation.exploration_task import ExplorationTask
     from sixthsense.navigation.goal_navigator import goal_navigator
     from sixthsense.navigation.navigator import Navigator
     from sixthsense.navigation.path_planner import PathPlanner
-    from sixthsense.navigation.planners import make_planner
 
-    planner = make_planner(config.planner, config.rrtstar, planner_rng)
+    planner = part_of(config, PLANNERS).make(planner_rng)
     if config.task != "explore":
         return goal_navigator(goals, planner, config)
     x0, y0, x1, y1 = region

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sixthsense.config import Config, save_config
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, PartError
 from sixthsense.record.ending import write_ending
 from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
@@ -85,7 +85,7 @@ class RunFolder:
         """Leave nothing behind of a run that bad input or Ctrl-C has stopped before its first record; keep all else."""
         if kind is not None and issubclass(kind, (InputError, KeyboardInterrupt)) and not has_record(self.partial):
             shutil.rmtree(self.partial, ignore_errors=True)
-        if isinstance(error, MemoryError):
+        if isinstance(error, MemoryError | PartError):
             error.add_note(f"the record so far is in {self.partial}")
         self._lock.release()
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig, Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.names import NEEDS_FILTER
+from sixthsense.config.parts import NEEDS_FILTER
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
 from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
 from sixthsense.core.parameters import ParameterEstimate

@@ -9,7 +9,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.names import NEEDS_FILTER
+from sixthsense.config.parts import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.parameters import ParameterEstimate

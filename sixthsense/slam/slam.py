@@ -13,8 +13,9 @@ from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.names import KEEP_POSES
+from sixthsense.config.parts import ESTIMATORS, KEEP_POSES
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.tree import part_of
 from sixthsense.core.arguments import as_pose, as_ranges
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
@@ -25,7 +26,7 @@ from sixthsense.core.sensor import Sensor
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother, make_estimator
+from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, Keyframe, LoopClosureCounts, untimed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
@@ -74,7 +75,7 @@ class Slam:
         self._start, self._clock = start or Pose(), clock
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self._radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M if radius_m is None else radius_m
-        self.estimator = make_estimator(config.estimator, self._start, cov, config.isam2)
+        self.estimator: Estimator = part_of(config, ESTIMATORS).make(self._start, cov)
         self._draws_map = draws_map
         self._mapper = Mapper(config.grid, self._radius_m)
         records = None if prior_map is None else prior_map.fresh_records()

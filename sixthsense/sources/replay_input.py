@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from sixthsense.config import Config, load_config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
-from sixthsense.config.names import OF_THE_ROBOT
+from sixthsense.config.parts import OF_THE_ROBOT
 from sixthsense.sources.logs import kind_of
 from sixthsense.sources.scene import Scene, load_scene
 

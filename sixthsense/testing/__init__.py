@@ -1,9 +1,10 @@
-"""Tests of estimators: the laws of their contract, for built-in and registered ones, and consistency experiments.
+"""Checks of parts against the contract of their seam, for shipped ones and your own, and consistency experiments.
 
 from sixthsense.testing import check_estimator
 check_estimator(MyEstimator)
 """
 
-from sixthsense.testing.check import Verdicts, check_estimator
+from sixthsense.testing.check import check_estimator
+from sixthsense.testing.laws import Verdicts
 
 __all__ = ["Verdicts", "check_estimator"]

@@ -20,7 +20,7 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, rk4
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
-from sixthsense.slam.estimators import make_estimator
+from sixthsense.testing.estimation import make
 from sixthsense.testing.sight import predict_points
 
 STEPS, STEP_S = 2500, 1.0
@@ -99,7 +99,7 @@ def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
 def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
     """Run the estimator `name`, built-in or registered, on the measurements."""
     settings = isam2 or ISAM2Config(undo_probability=1.0)  # all matches are correct
-    estimator = make_estimator(name, Pose(), np.zeros((3, 3)), settings)
+    estimator = make(name, Pose(), np.zeros((3, 3)), settings)
     poses, covs, spent_s = [], [], 0.0
     for odometry, observations in zip(evidence.odometry, evidence.observations, strict=True):
         began = perf_counter()

@@ -25,7 +25,7 @@ from sixthsense.testing.estimation import (
 )
 from sixthsense.testing.laws import Laws, raises
 
-LAWS = Laws()
+LAWS, VALIDATION = Laws(), Laws("validation")
 
 BAD_POSE_COVS = {
     "a value that is not finite": np.diag([0.01, np.nan, 0.01]),
@@ -47,13 +47,13 @@ BAD_OBSERVATIONS = {
 }
 
 
-@LAWS.law_for(BAD_POSE_COVS)
+@VALIDATION.law_for(BAD_POSE_COVS)
 def an_invalid_start_covariance_is_named(name: str, fault: str) -> None:
     with raises(ValueError, f"start_cov: .*{fault}"):
         make(name, START, BAD_POSE_COVS[fault])
 
 
-@LAWS.law_for(BAD_POSE_COVS)
+@VALIDATION.law_for(BAD_POSE_COVS)
 def an_invalid_odometry_covariance_is_named_and_changes_nothing(name: str, fault: str) -> None:
     estimator = driven(name)
     before = joint_state(estimator)
@@ -63,7 +63,7 @@ def an_invalid_odometry_covariance_is_named_and_changes_nothing(name: str, fault
         assert_same(before, joint_state(estimator))
 
 
-@LAWS.law_for(BAD_OBSERVATIONS)
+@VALIDATION.law_for(BAD_OBSERVATIONS)
 def an_invalid_observation_is_named_and_changes_nothing(name: str, fault: str) -> None:
     """The valid observations of the same scan are rejected as well."""
     estimator = driven(name)
@@ -80,7 +80,7 @@ def an_invalid_observation_is_named_and_changes_nothing(name: str, fault: str) -
     assert len(estimator.trajectory()) == 9
 
 
-@LAWS.law
+@VALIDATION.law
 def the_error_of_an_observation_names_its_landmark(name: str) -> None:
     good = sight(START, [0, 1, 2], np.random.default_rng(0))
     with raises(ValueError, "landmark 41: found an asymmetric matrix, allowed: a covariance, symmetric"):

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sixthsense.config import ISAM2Config
+from sixthsense.config.parts import ESTIMATORS, options_class
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, initialize_point
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.estimators import Estimate, Estimator, make_estimator
+from sixthsense.slam.estimators import Estimate, Estimator, EstimatorFactory, make_estimator
 from sixthsense.testing.sight import predict_points
 
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
@@ -41,16 +42,17 @@ FAMILIES = {name: FILTER for name in ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant
 CONSISTENT = ("ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 
 
-def family(name: str) -> Family:
-    """The family of an estimator; a registered one counts as a filter."""
-    return FAMILIES.get(name, FILTER)
+def family(name: str | EstimatorFactory) -> Family:
+    """The family of an estimator; one that is not shipped counts as a filter."""
+    return FAMILIES.get(name, FILTER) if isinstance(name, str) else FILTER
 
 
 def make(
-    name: str, start: Pose = START, start_cov: Array = START_COV, isam2: ISAM2Config | None = CONVERGED
+    name: str | EstimatorFactory, start: Pose = START, start_cov: Array = START_COV, isam2: ISAM2Config = CONVERGED
 ) -> Estimator:
-    """A new estimator at a start with covariance `start_cov` (3, 3)."""
-    return make_estimator(name, start, start_cov, isam2)
+    """A new estimator at a start with covariance `start_cov` (3, 3); the smoother is made with `isam2`."""
+    factory = ESTIMATORS.load(name) if isinstance(name, str) else name
+    return make_estimator(factory, start, start_cov, isam2 if options_class(factory) is ISAM2Config else None)
 
 
 def as_used(name: str, observation: Observation) -> Observation:
@@ -113,7 +115,7 @@ def driven(
     name: str,
     steps: int = 8,
     transform: Pose | None = None,
-    isam2: ISAM2Config | None = CONVERGED,
+    isam2: ISAM2Config = CONVERGED,
     unseen: Collection[LandmarkId] = (),
 ) -> Estimator:
     """An estimator after a short drive in a world moved by `transform`; the landmarks `unseen` are not observed."""

@@ -22,7 +22,7 @@ from sixthsense.testing.batch import Log, Posterior, batch_posterior, jacobian, 
 from sixthsense.testing.estimation import fed, joint_state, make
 from sixthsense.testing.laws import Laws
 
-LAWS = Laws()
+LAWS = Laws("statistics")
 
 NOISE = 2.5e-4  # m and rad; GTSAM drops the correlations of a covariance whose off-diagonal is below 1e-9
 TOLERANCE = 0.01  # of a sigma, and of a variance in any direction

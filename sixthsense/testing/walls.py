@@ -27,7 +27,7 @@ from sixthsense.testing.posterior import (
     reference_of,
 )
 
-LAWS = Laws()
+LAWS, VALIDATION = Laws(), Laws("validation")
 
 BAD_WALLS = {
     "landmark 7: found z": ([np.nan, -2.0], [[0.01, 0.0], [0.0, 0.01]]),
@@ -165,7 +165,7 @@ def forgetting_a_wall_leaves_the_others_unchanged(name: str) -> None:
     assert_agrees(estimator, Posterior(left, before.mean[index], cov, before.angles[index]))
 
 
-@LAWS.wall_law_for(BAD_WALLS)
+@VALIDATION.wall_law_for(BAD_WALLS)
 def an_invalid_observation_of_a_wall_is_named_and_changes_nothing(name: str, fault: str) -> None:
     estimator = driven(name, BOTH)
     before = joint_state(estimator)

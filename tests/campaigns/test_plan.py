@@ -23,6 +23,7 @@ from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, sc
 from sixthsense.config import Config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.curves import Curves
+from sixthsense.slam.estimators.ekf import EKF
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -130,6 +131,14 @@ def call(**changes: Any) -> ss.Campaign:
     return ss.campaign(given.pop("scenes", ["hall.toml", "loop"]), seeds=given.pop("seeds", range(3)), **given)
 
 
+class Own(EKF):
+    """An estimator that a campaign can name."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Options:
+        gain: float = 1.0
+
+
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "another value": (lambda: call(max_time=5.0), "a campaign with max_time = 4.0, found 5.0"),
     "another nested value": (lambda: call(features={"deskew": True}), "with features.deskew = False, found True"),
@@ -148,7 +157,13 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "a scene as a field": (lambda: call(scene="block"), "^scene: found for a campaign, allowed: scenes"),
     "a seed as a field": (lambda: call(seed=1), "^seed: found for a campaign, allowed: seeds"),
     "no estimator": (lambda: call(estimator=[]), "^estimator: found "),
-    "an own estimator": (lambda: call(estimator=[dict]), "^estimator: found .*, which the workers do not know"),
+    "an own estimator": (lambda: call(estimator=[lambda start, cov: None]), "^estimator: found .*<lambda>, allowed"),
+    "one that is nowhere": (lambda: call(estimator="no_lab:Own"), "^estimator: found no_lab:Own, which cannot be"),
+    "a programs own": (lambda: call(planner="__main__:Own"), "^planner: found __main__:Own, which is of the program"),
+    "unknown options": (
+        lambda: call(estimator=f"{__name__}:Own", estimator_options={"x": 1}),
+        "^estimator_options.x: no such option, allowed: gain",
+    ),
     "no worker": (lambda: call(workers=0), "^workers: found 0, allowed: a whole number from 1 to 1024"),
     "too many workers": (lambda: call(workers=1025), "^workers: found 1025"),
     "a goal in a wall": (lambda: call(task="goal", goal=(1.0, 3.1)), r"^goal: found \(1, 3\.1\), .* from a wall"),

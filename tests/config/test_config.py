@@ -21,7 +21,7 @@ from sixthsense.config import (
     save_config,
 )
 from sixthsense.config.errors import InputError, nearest, reason_of
-from sixthsense.config.names import ESTIMATORS, Names
+from sixthsense.config.parts import ESTIMATORS
 from sixthsense.config.section import checked
 from sixthsense.config.tree import task_of
 
@@ -186,7 +186,7 @@ def test_a_number_in_degrees_is_answered_in_radians_where_that_is_allowed() -> N
     assert Range(0, 1, unit="rad").near(90.0) == Range(0, 1).near(45.0) == ""
 
 
-ESTIMATORS.add("Own")
+OWN = "lab.fading:Fading"
 GOAL, TOUR = (1.0, 2.0), ((3.0, 4.0),)
 
 
@@ -198,7 +198,9 @@ GOAL, TOUR = (1.0, 2.0), ((3.0, 4.0),)
         ({"tour": TOUR}, {"goal": None}, {"goal": None, "tour": TOUR}),
         ({}, {"front_end": "scan-matching"}, {"estimator": "isam2"}),
         ({"estimator": "isam2"}, {"front-end": "scan-matching"}, {"estimator": "isam2"}),
-        ({"estimator": "Own"}, {"front_end": "scan-matching"}, {"estimator": "Own"}),
+        ({"estimator": OWN}, {"front_end": "scan-matching"}, {"estimator": OWN}),
+        ({"estimator": OWN, "estimator_options": {"gain": 2.0}}, {"seed": 3}, {"estimator": OWN}),
+        ({"estimator": "isam2"}, {"estimator": OWN}, {"estimator": OWN, "front_end": "landmarks"}),
         ({"front_end": "scan-matching"}, {"estimator": "ekf"}, {"front_end": "landmarks"}),
         ({"front_end": "scan-matching"}, {"estimator": "isam2"}, {"front_end": "scan-matching"}),
         ({"estimator": "isam2"}, {"estimator": "ekf"}, {"front_end": "landmarks", "estimator": "ekf"}),
@@ -219,14 +221,21 @@ def test_a_goal_or_a_tour_sets_its_task_and_contradicts_another() -> None:
         task_of({"tour": TOUR, "task": "explore"})
 
 
-def test_names_are_the_shipped_ones_and_those_that_were_added_once() -> None:
-    names = Names("ekf", "isam2")
-    for _ in range(2):
-        names.add("My.own-1")
-    assert list(names) == ["ekf", "isam2", "My.own-1"] and "My.own-1" in names and "other" not in names
-    for bad in ("ekf", "", "1a", "a b", "a" * 81):
-        with pytest.raises(ValueError, match="name: found"):
-            names.add(bad)
+def test_a_part_is_named_by_a_short_name_or_by_its_import_path() -> None:
+    assert "ekf" in ESTIMATORS and "lab.fading:Fading" in ESTIMATORS and "lab:Own.Inner" in ESTIMATORS
+    for bad in ("", "1a", "a b", "ukf", "lab.fading:", ":Fading", "lab/fading:Fading", 3):
+        assert bad not in ESTIMATORS
+    assert ESTIMATORS.name_of(Config) == "sixthsense.config.tree:Config" and ESTIMATORS.name_of("ekf") == "ekf"
+    assert ESTIMATORS.load("sixthsense.config.tree:Config") is Config
+    with pytest.raises(InputError, match=r"^estimator: found .*<lambda>, allowed: a class or function at the top"):
+        ESTIMATORS.name_of(lambda: None)
+    for name, said in {
+        "no_lab:A": "No module named 'no_lab'",
+        "math:A": "no attribute 'A'",
+        "math:pi": "a float",
+    }.items():
+        with pytest.raises(InputError, match=f"^estimator: found {name}, which .*{said}"):
+            ESTIMATORS.load(name)
 
 
 def test_what_a_message_says_of_other_errors_and_of_misspelt_names() -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +15,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.config import LaserNoise, MotionNoise, Section, fields
+from sixthsense.config.parts import PartOptions, Parts
 
 CALLS = {
     ss.run: fields.RunFields,
@@ -28,7 +29,9 @@ def argument(hint: Any) -> Any:
     """The type of an argument that sets a field of this type."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
-        return argument(args[0])
+        return str | Callable[..., Any] if isinstance(args[1], Parts) else argument(args[0])
+    if hint is PartOptions:
+        return Mapping[str, Any]
     if origin is tuple:
         return Sequence[argument(args[0])]
     if origin in (typing.Union, types.UnionType):

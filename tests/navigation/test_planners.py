@@ -123,7 +123,8 @@ def variant(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def planner(variant: str) -> Planner:
-    return make_planner(*VARIANTS[variant])
+    name, options = VARIANTS[variant]
+    return make_planner(name, options=options)
 
 
 def test_the_contract_is_tested_for_every_planner() -> None:
@@ -233,7 +234,8 @@ def test_the_same_question_has_the_same_answer(planner: Planner, variant: str) -
         space = space_of(world(rng))
         start, goal = random_free_point(rng, space), random_free_point(rng, space)
         first, again = planner.plan(space, start, goal), planner.plan(space, start, goal)
-        other = make_planner(*VARIANTS[variant]).plan(space, start, goal)
+        name, options = VARIANTS[variant]
+        other = make_planner(name, options=options).plan(space, start, goal)
         assert first.status == again.status == other.status and first.expanded == other.expanded
         assert np.array_equal(first.path_world, again.path_world)
         assert np.array_equal(first.path_world, other.path_world)

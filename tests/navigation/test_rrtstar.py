@@ -27,7 +27,7 @@ def box() -> FreeSpace:
 
 def plan_of(space: FreeSpace, start: Array, goal: Array, seed: int = 0, range_m: float = 2.0, **config: object) -> Plan:
     with patch.object(rrtstar, "_RANGE_M", range_m):
-        return make_planner("rrtstar", RRTStarConfig(**config), np.random.default_rng(seed)).plan(space, start, goal)
+        return make_planner("rrtstar", np.random.default_rng(seed), RRTStarConfig(**config)).plan(space, start, goal)
 
 
 @BOTH
@@ -157,7 +157,7 @@ def test_a_change_of_planner_leaves_the_noise_alone() -> None:
 
 def test_a_planner_draws_one_seed_from_its_stream_however_often_it_plans() -> None:
     rng, beside = np.random.default_rng(3), np.random.default_rng(3)
-    planner = RRTStar(RRTStarConfig(iterations=100), rng)
+    planner = RRTStar(rng, RRTStarConfig(iterations=100))
     beside.integers(1, 1 << 32)
     planner.plan(box(), box().centre(20, 5), box().centre(20, 34))
     assert rng.random() == beside.random()

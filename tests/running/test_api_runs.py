@@ -64,7 +64,7 @@ def test_an_interrupted_run_is_handed_over_as_far_as_it_came_and_can_be_drawn(tm
 
 
 class Renamed(EKF):
-    """Of one's own, as far as the registry can tell."""
+    """An estimator of one's own, as far as the configuration can tell."""
 
 
 def straight(rng):
@@ -75,16 +75,14 @@ def straight(rng):
 
 def test_an_estimator_and_a_planner_of_ones_own_are_used_by_their_names(tmp_path):
     own = ss.run("rectangle", estimator=Renamed, planner=straight, out=tmp_path / "own", **SHORT)
-    assert (own.trace.config.estimator, own.trace.config.planner) == ("Renamed", "straight")
+    config = own.trace.config
+    assert (config.estimator, config.planner) == (f"{__name__}:Renamed", f"{__name__}:straight")
     assert same(own, ss.run("rectangle", estimator="ekf", **SHORT))
     assert same(ss.load(tmp_path / "own"), own)
-    ss.register_estimator("mine", Renamed)
-    assert ss.run("rectangle", estimator="mine", max_time=1.0, task="tour").trace.config.estimator == "mine"
-    for name in ("ekf", "", "two words", "x" * 99):
-        with pytest.raises(ValueError, match="name: found"):
-            ss.register_estimator(name, Renamed)
-    with pytest.raises(ValueError, match=r"name: found .astar., allowed: .*none of astar, rrtstar"):
-        ss.register_planner("astar", straight)
+    by_path = ss.run("rectangle", estimator=f"{__name__}:Renamed", max_time=1.0, task="tour")
+    assert by_path.trace.config.estimator == config.estimator
+    with pytest.raises(ss.InputError, match=r"planner: found .*<lambda>, allowed: a class or function at the top"):
+        ss.run("rectangle", planner=lambda rng: AStar())
 
 
 def test_where_nobody_looks_on_a_run_says_nothing_and_where_it_shall_it_shows_a_bar():

@@ -10,7 +10,7 @@ import pytest
 from laws import links, parameters, prior_map
 
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.estimators import Estimator, Filter, Smoother, register_estimator
+from sixthsense.slam.estimators import Estimator, Filter, Smoother
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.testing import check_estimator
@@ -25,7 +25,7 @@ ORDERED = "the_joint_covariance_is_symmetric_positive_definite_and_in_the_reques
 
 
 class Smooths(ISAM2):
-    def __init__(self, start, start_cov):
+    def __init__(self, start, start_cov, _):
         super().__init__(start, start_cov, CONVERGED)
 
 
@@ -293,11 +293,9 @@ BROKEN = [
 
 @pytest.mark.parametrize(("clause", "cls", "law"), BROKEN, ids=[f"{clause}-{law}" for clause, _, law in BROKEN])
 def test_an_estimator_that_breaks_a_clause_breaks_its_law(clause, cls, law):
-    for name, own in (("honest", Smooths if clause > 12 else EKF), ("sabotaged", cls)):
-        register_estimator(name, own)
-    CHECKS[law]("honest")
+    CHECKS[law](Smooths if clause > 12 else EKF)
     with pytest.raises((AssertionError, KeyError, TypeError, np.linalg.LinAlgError)):
-        CHECKS[law]("sabotaged")
+        CHECKS[law](cls)
 
 
 def test_every_clause_has_an_estimator_that_breaks_it():
@@ -307,13 +305,13 @@ def test_every_clause_has_an_estimator_that_breaks_it():
 
 
 def test_laws_of_walls_are_skipped_with_the_reason_for_an_estimator_of_points():
-    verdicts = check_estimator(refuses_walls(NotImplementedError, late=False), "points-only")
+    verdicts = check_estimator(refuses_walls(NotImplementedError, late=False))
     of_walls = [law.name for law in LAWS if law.needs_walls]
     assert verdicts.kept and list(verdicts.skipped) == of_walls and len(verdicts) == len(LAWS) - len(of_walls)
     reason = "NotImplementedError: walls are not supported"
-    assert repr(verdicts) == f"keeps all {len(verdicts)} laws; {len(of_walls)} laws of walls not tested: {reason}"
+    assert repr(verdicts).splitlines()[-1] == f"not tested: {len(of_walls)} laws, {reason}"
 
 
 def test_another_error_for_a_wall_is_no_refusal():
-    verdicts = check_estimator(refuses_walls(TypeError, late=False), "points-with-another-error")
+    verdicts = check_estimator(refuses_walls(TypeError, late=False))
     assert not verdicts.skipped and all(verdicts[law.name] for law in LAWS if law.needs_walls)

@@ -20,8 +20,8 @@ class AStar:
     length.
     """
 
-    def __init__(self) -> None:
-        """Begin without a search tree."""
+    def __init__(self, rng: np.random.Generator | None = None) -> None:
+        """Begin without a search tree; it draws nothing from `rng`."""
         self._tree: CostTree | None = None
         self._place: tuple[tuple[float, float], float] | None = None
 

@@ -27,7 +27,9 @@ class RRTStar:
     Iterations are counted, not timed, and every plan uses the same seed, so that the same question has the same answer.
     """
 
-    def __init__(self, config: RRTStarConfig, rng: np.random.Generator) -> None:
+    Options = RRTStarConfig
+
+    def __init__(self, rng: np.random.Generator, config: RRTStarConfig) -> None:
         """Draw the seed from `rng`, once for all plans."""
         self._config = config
         self._seed = int(rng.integers(1, 1 << 32))

@@ -63,6 +63,8 @@ class ISAM2:
     there is an observation or a link, since until then there is nothing to solve.
     """
 
+    Options = ISAM2Config
+
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
         self._config = config

@@ -1,0 +1,131 @@
+"""The parts that can be replaced, and what their names stand for: shipped ones, registered ones, any import path."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from importlib import import_module
+from typing import Any
+
+from sixthsense.config.errors import InputError, nearest, reason_of
+
+_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+
+
+class Parts:
+    """The names of one kind of part, such as estimators.
+
+    Shipped ones have short names. A package that is installed registers names in the entry points' group `group`. Any
+    other part is named by its import path, `MODULE:NAME`.
+    """
+
+    def __init__(self, kind: str, seam: str, shipped: Mapping[str, str], **sections: str) -> None:
+        """Hold the import path of each of the `shipped` names, and that of the protocol, the `seam`.
+
+        `sections` are those of the configuration that hold the options of shipped ones, by name.
+        """
+        self.kind, self.seam, self.shipped, self.sections = kind, seam, dict(shipped), sections
+        self.group = f"sixthsense.{kind}{'es' if kind.endswith('h') else 's'}"
+        """of the entry points in which packages register theirs"""
+
+    def __contains__(self, name: object) -> bool:
+        if not isinstance(name, str):
+            return False
+        return name in self.shipped or _PATH.fullmatch(name) is not None or name in self.installed()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.shipped)
+
+    def __str__(self) -> str:
+        return ", ".join((*self.shipped, "MODULE:NAME"))
+
+    def installed(self) -> dict[str, str]:
+        """Import paths of the parts that installed packages register, by name."""
+        from importlib.metadata import entry_points
+
+        return {point.name: point.value for point in entry_points(group=self.group) if point.name not in self.shipped}
+
+    def name_of(self, part: Any) -> Any:
+        """The import path of a class or function; any other value is returned as it is.
+
+        Raises InputError for one that no import path leads to, as one that is made within a function.
+        """
+        if not callable(part):
+            return part
+        path = f"{getattr(part, '__module__', '')}:{getattr(part, '__qualname__', '')}"
+        try:
+            is_found = _PATH.fullmatch(path) is not None and _imported(path) is part
+        except (ImportError, AttributeError):
+            is_found = False
+        if not is_found:
+            raise InputError(self.kind, f"found {path}", "a class or function at the top level of a module")
+        return path
+
+    def load(self, name: str) -> Any:
+        """The class or function that a name stands for; InputError for one that is not known or cannot be imported."""
+        path = self.shipped.get(name) or (name if ":" in name else self.installed().get(name))
+        if path is None:
+            raise InputError(self.kind, f"found {name!r}", str(self), nearest(name, self.shipped))
+        try:
+            part = _imported(path)
+        except Exception as error:  # a module of a user's may raise anything
+            reason = f"{type(error).__name__}: {reason_of(error)}"
+            found = f"found {name}, which cannot be imported ({reason})"
+            raise InputError(self.kind, found, "a module that Python finds, and a name in it") from error
+        if not callable(part):
+            raise InputError(self.kind, f"found {name}, which is a {type(part).__name__}", "a class or function")
+        return part
+
+
+class PartOptions(dict[str, Any]):
+    """The options of a part that are stated, by name; what they may be says the part."""
+
+
+def options_class(part: Any) -> type | None:
+    """The dataclass of a part's own options, its attribute `Options`; None of a part without."""
+    found = getattr(part, "Options", None)
+    return found if isinstance(found, type) and dataclasses.is_dataclass(found) else None
+
+
+def _imported(path: str) -> Any:
+    module, _, name = path.partition(":")
+    return reduce(getattr, name.split("."), import_module(module))
+
+
+_SLAM, _NAVIGATION = "sixthsense.slam", "sixthsense.navigation"
+
+ESTIMATORS = Parts(
+    "estimator",
+    f"{_SLAM}.estimators.base:Estimator",
+    {
+        "ekf": f"{_SLAM}.estimators.ekf:EKF",
+        "ekf-fej": f"{_SLAM}.estimators.ekf_variants:FirstEstimatesEKF",
+        "ekf-oc": f"{_SLAM}.estimators.ekf_variants:ObservabilityConstrainedEKF",
+        "ekf-invariant": f"{_SLAM}.estimators.ekf_variants:InvariantEKF",
+        "isam2": f"{_SLAM}.estimators.isam2:ISAM2",
+    },
+    isam2="isam2",
+)
+PLANNERS = Parts(
+    "planner",
+    f"{_NAVIGATION}.planners.base:Planner",
+    {
+        "astar": f"{_NAVIGATION}.planners.astar:AStar",
+        "rrtstar": f"{_NAVIGATION}.planners.rrtstar:RRTStar",
+    },
+    rrtstar="rrtstar",
+)
+KINDS = (ESTIMATORS, PLANNERS)
+"""all kinds of parts, in the order of their use"""
+
+FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
+"""shipped estimators that do not keep the poses of all keyframes"""
+KEEP_POSES = "with isam2, which keeps the poses of all keyframes"
+"""of messages about the front end of scans"""
+NEEDS_FILTER = "a shipped estimator, or one with the methods of Filter"
+"""of messages about parameters that are estimated with the pose"""
+
+OF_THE_ROBOT = ("scene", "task", "goal", "tour", "start", "region", "planner", "rrtstar", "follow", "explore", "world")
+"""fields and sections of the configuration that a replay refuses: they are of a robot that is driven or simulated"""

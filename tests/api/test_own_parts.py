@@ -1,0 +1,126 @@
+"""Parts of a user's own, one file in a folder: in a call, on the command line, in a campaign, replayed, compared."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import sixthsense as ss
+from sixthsense import cli, testing
+from sixthsense.config.errors import PartError
+
+PAGES = Path(__file__).parents[2] / "docs" / "howto" / "parts"
+SHORT = {"task": "tour", "max_time": 2.0, "progress": False}
+PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """A folder with the example files as modules, which is the working folder."""
+    for file in PAGES.glob("*.py"):
+        (tmp_path / file.name).write_text(file.read_text())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for file in PAGES.glob("*.py"):
+        sys.modules.pop(file.stem, None)
+
+
+def sixthsense(*words):
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_every_example_is_a_file_of_at_most_40_lines():
+    assert {file.stem for file in PAGES.glob("*.py")} >= {"fading"}
+    for file in PAGES.glob("*.py"):
+        assert len(file.read_text().splitlines()) <= 40, file.name
+
+
+def test_an_estimator_of_one_file_is_checked_run_replayed_compared_and_sent_to_the_workers_of_a_campaign(lab):
+    pytest.importorskip("distributed")
+    from fading import Fading
+
+    assert testing.check_estimator(Fading).kept
+    run = ss.run("rectangle", estimator=Fading, estimator_options=Fading.Options(gain=1.5), out="called", **SHORT)
+    assert run.trace.config.estimator == "fading:Fading" and run.trace.config.estimator_options == {"gain": 1.5}
+    words = ("--estimator", "fading:Fading", "--estimator-options.gain", "1.5", "--task", "tour", "--max-time", "2")
+    code, _, err = sixthsense("run", "rectangle", *words, "--out", "said")
+    assert code == cli.DONE, err
+    Path("own.toml").write_text('estimator = "fading:Fading"\n[estimator_options]\ngain = 1.5\n')
+    code, _, err = sixthsense("run", "rectangle", "--config", "own.toml", *words[4:], "--out", "read")
+    assert code == cli.DONE, err
+    for folder in ("said", "read"):
+        assert (lab / folder / "estimate.tum").read_bytes() == (lab / "called" / "estimate.tum").read_bytes()
+        assert ss.load(folder).trace.config == run.trace.config
+    code, _, err = sixthsense("replay", "called", "--out", "again")
+    assert code == cli.DONE, err
+    assert (lab / "again" / "estimate.tum").read_bytes() == (lab / "called" / "estimate.tum").read_bytes()
+    fields = {"estimator": [Fading, "ekf"], "estimator_options": {"gain": 1.5}, "task": "tour", "max_time": 1.0}
+    done = ss.campaign("rectangle", seeds=range(20), workers=2, out="many", progress=False, **fields)
+    frame = done.frame()
+    assert len(frame) == 40 and (frame["outcome"] == "tour ended").all(), frame["outcome"].unique()
+    assert set(frame["estimator"]) == {"fading:Fading", "ekf"}
+    assert "fading:Fading" in str(done)
+    assert {sample.config.estimator for sample in ss.compare(done).samples} == {"fading:Fading", "ekf"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--estimator", "fadin:Fading"), "--estimator: found fadin:Fading, which cannot be imported .*'fadin'"),
+        (("--estimator", "fading:Fadin"), "--estimator: found fading:Fadin, which cannot be imported .*'Fadin'"),
+        (("--estimator-options.gain", "2"), "--estimator-options.gain: no such option"),
+        (
+            ("--estimator", "fading:Fading", "--estimator-options.gian", "2"),
+            "--estimator-options.gian: no such option, did you mean --estimator-options.gain",
+        ),
+        (
+            ("--estimator", "fading:Fading", "--estimator-options.gain", "much"),
+            "--estimator-options.gain: found 'much', allowed: a finite number",
+        ),
+    ],
+)
+def test_a_wrong_part_or_option_is_one_line(words, said, lab, capsys):
+    assert cli.main(["run", "rectangle", *words, "--out", "no"]) == cli.BAD_INPUT
+    err = capsys.readouterr().err
+    assert re.search(said, err) and err.count("\n") == 1
+    assert not Path("no").exists() and not Path("no.partial").exists()
+
+
+CULPRITS = {
+    "raises": ("def update(self, observations): super().update(observations); 1 / (len(self.trajectory()) < 4)",
+               r"update raised ZeroDivisionError in line \d+ \(division by zero\)"),
+    "not_finite": ("def estimate(self): e = super().estimate(); e.pose_cov[len(self.trajectory()) >= 4] *= np.nan; "
+                   "return e", "joint_covariance|pose_cov"),
+    "misshapen": ("def trajectory(self): t = super().trajectory(); return t if len(t) < 4 else t[:, :2]",
+                  r"trajectory\(\) has shape \(\d, 2\), allowed \(\d, 3\)"),
+    "indefinite": ("def joint_covariance(self, ids): c = super().joint_covariance(ids); "
+                   "return c if len(self.trajectory()) < 4 else -c", "an eigenvalue of -"),
+}  # fmt: skip
+"""methods of an estimator that fail after some keyframes, and what is said of them"""
+
+
+@pytest.mark.parametrize("name", CULPRITS)
+def test_a_part_that_fails_is_named_with_keyframe_and_time_and_the_record_is_whole_up_to_there(name, lab):
+    body, said = CULPRITS[name]
+    head, *rest = body.split(": ", 1)
+    lines = "".join(f"\n        {line.strip()}" for line in rest[0].split(";"))
+    base = "import numpy as np\nfrom sixthsense.slam.estimators.ekf import EKF\n\n\nclass Bad(EKF):\n"
+    (lab / f"{name}.py").write_text(f"{base}    {head}:{lines}\n")
+    with pytest.raises(PartError) as caught:
+        ss.run("rectangle", estimator=f"{name}:Bad", out="bad", task="tour", max_time=20.0, progress=False)
+    error = caught.value
+    assert error.part == f"estimator {name}:Bad" and re.search(said, error.found), error
+    assert re.fullmatch(r"after keyframe \d, at \d+\.\d\d s", error.when)
+    assert error.__notes__ == ["the record so far is in bad.partial"]
+    keyframe = int(error.when.split()[2].rstrip(","))
+    assert 2 <= keyframe <= 4 and len(ss.load("bad.partial").trace.key_stamps_ns) >= keyframe
+
+
+def test_the_parts_that_can_be_replaced_are_listed(capsys):
+    assert cli.main(["parts"]) == cli.DONE
+    said = capsys.readouterr().out
+    assert "--estimator (contract: sixthsense.slam.estimators.base:Estimator" in said and "isam2" in said
