@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.landmark_kernels import predictions
 from sixthsense.core.sensor import Sensor, SensorTerms
 
 LandmarkId = int
@@ -130,6 +131,22 @@ def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
     offset = by_z @ z
     by_pose = np.array([[1.0, 0.0, -offset[1]], [0.0, 1.0, offset[0]]])
     return pose.position + offset, by_pose, by_z
+
+
+def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Predict the observations of m landmarks (m, 2), of which those marked in `walls` (m,) are walls.
+
+    For estimators outside the package. Returns z (m, 2) and its Jacobians by the pose (m, 2, 3) and by the landmark
+    (m, 2, 2).
+    """
+    return predictions(pose.triple(), landmarks, walls)
+
+
+def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
+    """(..., 2) z - predicted; the angle of those marked in `walls` is wrapped. For estimators outside the package."""
+    difference = z - predicted
+    difference[..., 0] = np.where(walls, wrap_angle(difference[..., 0]), difference[..., 0])
+    return np.asarray(difference)
 
 
 def line_errors(cov: Array) -> tuple[Array, Array, Array]:

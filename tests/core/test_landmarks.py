@@ -3,7 +3,7 @@ import pytest
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmark_kernels import innovations_of, predictions, translations
-from sixthsense.core.landmarks import Kind, Observation, initialize_landmark
+from sixthsense.core.landmarks import Kind, Observation, initialize_landmark, innovations, predict
 
 
 def differences(function, at, step=1e-6):
@@ -53,3 +53,13 @@ def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
     assert values @ np.linalg.solve(about, values) == pytest.approx((turn / 0.1) ** 2)
     plain = lines[1] - lines[0]
     assert plain @ np.linalg.solve(cov, plain) > 100.0
+
+
+def test_what_estimators_outside_the_package_use_is_the_kernels_model() -> None:
+    rng = np.random.default_rng(8)
+    pose, landmarks, walls = Pose(0.7, -1.3, 2.4), rng.normal(0.0, 4.0, (6, 2)), rng.random(6) < 0.5
+    for one, two in zip(predict(pose, landmarks, walls), predictions(pose.triple(), landmarks, walls), strict=True):
+        assert np.array_equal(one, two)
+    z, predicted = np.array([[3.1, 0.4], [3.1, 0.4]]), np.array([[-3.0, 0.1], [-3.0, 0.1]])
+    expected = [[6.1 - 2.0 * np.pi, 0.3], [6.1, 0.3]]
+    assert np.allclose(innovations(z, predicted, np.array([True, False])), expected)
