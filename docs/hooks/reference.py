@@ -15,6 +15,7 @@ from sixthsense.cli import COMMANDS, command_class, main
 from sixthsense.cli.help import usage
 from sixthsense.cli.options import options_of
 from sixthsense.config import PRESETS, Config, Section, preset
+from sixthsense.config.parts import PartOptions
 from sixthsense.config.section import field_texts
 from sixthsense.evaluation.results import QUANTITIES
 
@@ -170,7 +171,7 @@ def _allowed(hint: Any) -> str:
     if origin is tuple:
         kinds = {_allowed(argument) for argument in arguments}
         return f"{len(arguments)} numbers" + (f", each {kinds.pop()}" if kinds != {"a number"} else "")
-    return {float: "a number", int: "whole", bool: "true, false", str: "text"}[hint]
+    return {float: "a number", int: "whole", bool: "true, false", str: "text", PartOptions: "a table"}[hint]
 
 
 def _shown(value: Any) -> str:
