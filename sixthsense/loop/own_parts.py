@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import traceback
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +28,7 @@ class OwnParts:
         for parts in KINDS:
             name = getattr(config, parts.kind)
             if name not in parts.shipped:
-                file = inspect.getsourcefile(inspect.unwrap(parts.load(name)))
-                self._files[file or ""] = f"{parts.kind} {name}"
+                self._files |= dict.fromkeys(code_files(parts.load(name)), f"{parts.kind} {name}")
         self._estimator = None if config.estimator in KINDS[0].shipped else estimator
         self._name = f"{KINDS[0].kind} {config.estimator}"
         self._keyframe, self._first_ns, self._time_s = -1, -1, 0.0
@@ -66,6 +66,13 @@ class OwnParts:
                 raise PartError(part, found, self._when) from error
         if self._estimator is not None and (fault := estimate_fault(self._estimator)):
             raise PartError(self._name, fault, self._when) from error
+
+
+def code_files(part: Any) -> set[str]:
+    """Files, or cells of a notebook, that hold the code of a class or function."""
+    part = inspect.unwrap(part)
+    members = [inspect.unwrap(one) for one in vars(part).values() if callable(one)] if inspect.isclass(part) else [part]
+    return {one.__code__.co_filename for one in members if hasattr(one, "__code__")}
 
 
 def estimate_fault(estimator: Estimator) -> str:
