@@ -48,10 +48,6 @@ class MotionSource(Protocol):
         """
         ...
 
-    def is_carried(self, increment: Odometry) -> bool:
-        """Whether the robot was carried during an increment."""
-        ...
-
     def for_tracking(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe with all its errors, for a scan to be aligned from."""
         ...
@@ -78,10 +74,6 @@ class ByWheels:
         if tick.increment_cov is not None:
             return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
         return odometry(before, tick.odometry, self._assumed)
-
-    def is_carried(self, increment: Odometry) -> bool:
-        """Whether no wheel has measured an increment."""
-        return increment.is_carried()
 
     def for_tracking(self, since: Odometry) -> Odometry:
         """The motion with the errors of any wheels."""
@@ -230,10 +222,6 @@ class LastVelocity:
         self._cov = 0.5 * (self._cov + self._cov.T)
         self._cross = found.cov @ gain
         self._stated_s = self._predicted_s = 0.0
-
-    def is_carried(self, increment: Odometry) -> bool:
-        """False: without odometry nothing can report being carried."""
-        return False
 
     def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
         """The motion since the last keyframe as found by scan matching; without that the guess, and no velocity."""

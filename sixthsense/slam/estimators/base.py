@@ -264,7 +264,7 @@ def check_links(links: Sequence[Link], poses: int) -> None:
             raise ValueError(f"link {k}: found pose {link.after} at both ends, allowed: two poses")
         if not are_good:
             check_covariance(f"link {k}", link.relative.cov)
-        if not np.isfinite(link.relative.motion.array()).all():
+        if not np.isfinite(link.relative.motion.triple()).all():
             raise ValueError(f"link {k}: found {link.relative.motion}, allowed: finite numbers")
         if not link.loss_scale > 0.0:
             raise ValueError(f"link {k}: found loss_scale {link.loss_scale}, allowed: above 0")

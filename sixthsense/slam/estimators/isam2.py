@@ -205,7 +205,7 @@ class ISAM2:
         first = self._poses - len(self._unsolved.poses)
         known = [k for k in updates if k < first]
         solved = dict(zip(known, self._solution.poses_at(known), strict=True))
-        rows = [solved[k] if k < first else self._unsolved.poses[k - first].array() for k in updates]
+        rows = [solved[k] if k < first else self._unsolved.poses[k - first].triple() for k in updates]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def graph_error(self) -> float:

@@ -105,7 +105,8 @@ class Mapper:
             self._drawn_at, self._boxes = np.zeros((0, 3)), []
             self._submaps = {}
         self.draw()
-        self._let_pass(_NOTHING)
+        if self._has_passing:
+            self._let_pass(_NOTHING)
         if self._earlier is not None:
             self.grid.mark_seen(self._earlier.cells[self._earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], {}
@@ -129,13 +130,13 @@ class Mapper:
         for k in range(drawn, len(poses)):
             self._boxes.append(self._add(self.grid, k, poses))
         self._drawn_at = np.vstack([self._drawn_at, poses[drawn:]])
-        self._let_pass(self._standing_robot)
+        if len(self._standing_robot) or self._has_passing:
+            self._let_pass(self._standing_robot)
         return self.grid
 
     def _let_pass(self, standing_robot: Array) -> None:
         """Block the way through those who stand in the newest keyframe, and no more through those who stood before."""
-        if len(standing_robot) or self._has_passing:
-            self.grid.let_pass(Pose.from_array(self._drawn_at[-1]), standing_robot, BODY_M)
+        self.grid.let_pass(Pose.from_array(self._drawn_at[-1]), standing_robot, BODY_M)
         self._has_passing = len(standing_robot) > 0
 
     def _shift(self, poses: Array) -> Array:
@@ -183,7 +184,7 @@ class Mapper:
     def _add(self, grid: Grid, k: int, poses: Array) -> Box:
         """Add a scan to a grid at its row of `poses` (K, 3); the box of the cells that it may have changed."""
         scan, walls = self._scans[k]
-        return grid.add(Pose.from_array(poses[k]), scan, walls)
+        return grid.add(Pose(*poses[k].tolist()), scan, walls)
 
 
 def _scans_of(m: int) -> slice:

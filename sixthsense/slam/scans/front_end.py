@@ -28,7 +28,7 @@ from sixthsense.core.se2 import (
 )
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
-from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, LoopClosureCounts, is_due
+from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, is_due
 from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import REACH_M, REACH_RAD, ScanGraph
@@ -74,6 +74,8 @@ class ScanFrontEnd:
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
         self.loop_closures = LoopClosures(config.scans, self._graph)
         """the search for old places, with what it has found"""
+        self.counts = self.loop_closures.counts if config.scans.loop_closures else None
+        """what the search has come to so far; None where it is switched off"""
         self._mount = Pose().triple()
         """`T_robot_laser`"""
         self._T_key_world = Pose()
@@ -107,7 +109,7 @@ class ScanFrontEnd:
         if increment is not None:
             self._since = self._since.then(increment)
             self._pose = self._pose @ increment.motion
-            self._is_carried |= source.is_carried(increment)
+            self._is_carried |= not source.is_guess and increment.is_carried()
         if scan is None:
             return None
         self._mount = scan.T_robot_laser.triple()
@@ -133,12 +135,8 @@ class ScanFrontEnd:
         if self._config.scans.loop_closures:
             with self._clock("loop_closure"):
                 self.loop_closures.look(key)
+            self.counts = self.loop_closures.counts
         return Keyframe(key, motion, predicted, self._stand_at_keyframe(), loop_closures=self.counts)
-
-    @property
-    def counts(self) -> LoopClosureCounts | None:
-        """What the search for old places has come to so far; None where it is switched off."""
-        return self.loop_closures.counts if self._config.scans.loop_closures else None
 
     def finish(self) -> Finished:
         """Predict up to the last tick, and align the scans between keyframes once more."""
@@ -151,7 +149,7 @@ class ScanFrontEnd:
         since_key = None
         if self._has_final_pass:
             since_key = refined(self._store, self._graph.poses, self._scans, self._mount)
-        return Finished(estimate, since_key, self._graph.robot_links())
+        return Finished(estimate, since_key, self._graph.robot_links(list(self._graph.links.values())))
 
     @property
     def newest(self) -> int:
@@ -175,8 +173,9 @@ class ScanFrontEnd:
         self._expected = known
         if self._is_carried:
             return None
-        usual, is_guess = graph.usual, source.is_guess
-        views = self._views(row, self._references())
+        usual, is_guess, newest = graph.usual, source.is_guess, self._store.count
+        recent = range(max(graph.first, newest - _RECENT), newest)
+        views = self._views(row, np.array([*recent, *graph.linked_old(newest - 1)[:_OLD]], dtype=np.int64))
         tracked = track(views, known.prior, known.starts, usual, is_guess)
         if tracked.is_lost or (is_guess and tracked.is_doubted):
             near = self._views(row, self.loop_closures.of_last_metres(self.newest))
@@ -201,12 +200,6 @@ class ScanFrontEnd:
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
         return Views(self._store.returns, row, targets, self._graph.poses[targets])
-
-    def _references(self) -> NDArray[np.int64]:
-        """Keyframes to track against."""
-        graph, newest = self._graph, self._store.count
-        recent = range(max(graph.first, newest - _RECENT), newest)
-        return np.array([*recent, *graph.linked_old(newest - 1)[:_OLD]], dtype=np.int64)
 
     def _motion(self, tracked: Tracked | None, moved: Pose) -> Odometry:
         """The motion since the last keyframe: by odometry, or as tracked, `moved`, with the covariance of a slip.

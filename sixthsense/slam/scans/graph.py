@@ -183,11 +183,10 @@ class ScanGraph:
         self.refresh()
 
     def _add(self, links: list[KeyframeLink], losses: list[float]) -> list[int]:
+        given = self.robot_links(links)
+        motions = [Odometry(Pose(*row), cov) for row, cov in zip(given.motions.tolist(), given.covs, strict=True)]
         ids = self.estimator.link(
-            [
-                Link(link.target, link.source, motion, loss)
-                for link, motion, loss in zip(links, self._of_robot(links), losses, strict=True)
-            ]
+            [Link(a.target, a.source, motion, loss) for a, motion, loss in zip(links, motions, losses, strict=True)]
         )
         for i, link in zip(ids, links, strict=True):
             self.links[i] = link
@@ -197,11 +196,11 @@ class ScanGraph:
                 self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
         return ids
 
-    def _of_robot(self, links: Sequence[KeyframeLink]) -> list[Odometry]:
-        """The motions of the robot that links measure."""
+    def robot_links(self, links: Sequence[KeyframeLink]) -> PoseLinks:
+        """Links, between poses of the robot."""
+        ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
         poses, covs = np.array([link.pose for link in links]), np.array([link.cov for link in links])
-        motions, covs = seen_motions(self._mount, poses.reshape(-1, 3), covs.reshape(-1, 3, 3))
-        return [Odometry(Pose(*motion), cov) for motion, cov in zip(motions.tolist(), covs, strict=True)]
+        return PoseLinks(ends, *seen_motions(self._mount, poses.reshape(-1, 3), covs.reshape(-1, 3, 3)))
 
     def _drop(self, ids: list[int]) -> None:
         self.uncertainty.remove(ids)
@@ -235,14 +234,6 @@ class ScanGraph:
         off = relative - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
         off[:, 2] = wrap_angle(off[:, 2])
         return np.asarray(((whitenings(covs) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
-
-    def robot_links(self) -> PoseLinks:
-        """All links, between poses of the robot."""
-        links = list(self.links.values())
-        motions = self._of_robot(links)
-        ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
-        poses = np.array([motion.motion.array() for motion in motions]).reshape(-1, 3)
-        return PoseLinks(ends, poses, np.array([motion.cov for motion in motions]).reshape(-1, 3, 3))
 
     def linked_old(self, key: int) -> list[int]:
         """Old keyframes that a keyframe is linked to."""
