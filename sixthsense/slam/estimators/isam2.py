@@ -81,7 +81,7 @@ class ISAM2:
         self._chain = Chain()
         begin = start, check_covariance("start_cov", start_cov)
         self._solution = Solution(self._solver, self._landmarks, self._chain, begin)
-        self._observations = Observations(self._solver, self._landmarks, self._solution, loss_of(config))
+        self._observations = Observations(self._landmarks, self._solution, loss_of(config))
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -309,13 +309,14 @@ _FIELDS = (("pose", np.int64), ("id", np.int64), ("factor", np.int64), ("wall", 
 class Observations:
     """The observations with the numbers of their factors, a row each, in the order of time."""
 
-    def __init__(self, solver: Solver, landmarks: Landmarks, solution: Solution, loss: Loss | None) -> None:
-        self._solver, self._landmarks, self._solution, self._loss = solver, landmarks, solution, loss
+    def __init__(self, landmarks: Landmarks, solution: Solution, loss: Loss | None) -> None:
+        self._landmarks, self._solution, self._loss = landmarks, solution, loss
         self._rows = np.zeros(256, dtype=list(_FIELDS))
         self._count = 0
 
     def add(self, pose: int, guess: Pose, observations: Mapping[LandmarkId, Observation], waiting: Unsolved) -> None:
         """Add the factors of what is observed from a pose to what waits, and the variables that they need."""
+        self._solution.landmarks()  # as they are solved, before there are new ones
         for i, observation in observations.items():
             is_new = i not in self._landmarks.keys
             if is_new:
@@ -394,7 +395,9 @@ class Observations:
 
     def _frame(self, key: int, waiting: gtsam.Values) -> Pose:
         """The frame of a wall as far as it is known."""
-        return to_pose(waiting.atPose2(key) if waiting.exists(key) else self._solver.isam.calculateEstimatePose2(key))
+        if waiting.exists(key):
+            return to_pose(waiting.atPose2(key))
+        return Pose(*self._landmarks.frames[key])
 
 
 class PriorFactor:
@@ -420,6 +423,7 @@ class PriorFactor:
             landmarks.by_tangent[i] = axes[k] if is_wall else np.eye(2)
             if is_wall:
                 self._frames[i] = frames[k]
+                landmarks.frames[landmarks.keys[i]] = frames[k].tolist()
         landmarks.means = np.where(prior.walls[:, None], means, prior.landmarks)
         factor, values = self._factor(landmarks)
         self._number = solver.update(graph_of(factor), values)[0]

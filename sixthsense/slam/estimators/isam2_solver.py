@@ -65,6 +65,8 @@ class Landmarks:
     """keys of the apparent walls: stretches of a wall that is not straight, by its id and the stretch's number"""
     means: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) at the last solution"""
+    frames: dict[int, list[float]] = field(default_factory=dict)
+    """x, y and theta of the walls and the apparent walls at the last solution, by their keys"""
     made: int = 0
     """number of landmarks and apparent walls so far, forgotten ones included"""
 
@@ -369,8 +371,10 @@ class Solution:
         points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
         # In the order of their keys: the letters of apparent walls, of walls and of poses, then the number.
         apparent = len(landmarks.stretches)
-        _, walls, self._in_graph = np.split(self._in_graph, [apparent, apparent + np.count_nonzero(is_wall)])
-        means, axes = lines(walls)
+        frames, self._in_graph = np.split(self._in_graph, [apparent + np.count_nonzero(is_wall)])
+        keys = [key for key, wall in zip(landmarks.keys.values(), is_wall.tolist(), strict=True) if wall]
+        landmarks.frames = dict(zip([*landmarks.stretches.values(), *keys], frames.tolist(), strict=True))
+        means, axes = lines(frames[apparent:])
         landmarks.means = np.empty((len(is_wall), 2))
         # GTSAM adds empty rows to the points for vectors of another size: wheels.
         landmarks.means[is_wall], landmarks.means[~is_wall] = means, points[: np.count_nonzero(~is_wall)]
