@@ -20,6 +20,7 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, rk4
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
+from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.testing.estimation import make
 from sixthsense.testing.sight import predict_points
 
@@ -96,8 +97,8 @@ def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
     return Evidence(truth, tuple(odometry), tuple(observations), full_rank_from(np.array(covs)))
 
 
-def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
-    """Run the estimator `name`, built-in or registered, on the measurements."""
+def follow(name: str | EstimatorFactory, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
+    """Run an estimator, by its name or its class, on the measurements."""
     settings = isam2 or ISAM2Config(undo_probability=1.0)  # all matches are correct
     estimator = make(name, Pose(), np.zeros((3, 3)), settings)
     poses, covs, spent_s = [], [], 0.0
