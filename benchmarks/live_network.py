@@ -1,7 +1,7 @@
 """Live runs beside Fast DDS: who is found how soon, gaps of /pose beside a large map, restarts, memory.
 
-The robot is that of `tests/interop`. Networks beside the loopback are two network namespaces, which need root. Five
-minutes and those of `--minutes`; `--only found,pose,restarts,memory` chooses parts.
+The robot is that of `tests/interop`. Networks beside the loopback are two network namespaces, which need root. Six
+minutes and those of `--minutes`; `--only found,pose,beams,restarts,memory` chooses parts.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -20,8 +21,10 @@ from pathlib import Path
 
 from sixthsense.live.maps import MAP
 from sixthsense.live.network import LOOPBACK, Network, Node
-from sixthsense.live.simulated import SCAN
+from sixthsense.live.reading import TWIST
+from sixthsense.live.simulated import SCAN, cmd_vel
 from sixthsense.live.topics import SENSOR
+from sixthsense.record.messages import Messages
 
 PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
 PEER = Path("runs/interop/peer")
@@ -184,23 +187,39 @@ def pose_gaps(folder: Path) -> None:
     pillars = [[[x, y], [x + 2.1, y + 0.3], [x + 1.7, y + 2.6]] for x in range(-81, 90, 33) for y in range(-73, 90, 29)]
     scene = folder / "hall.toml"
     tables = "".join(f"[[polygons]]\npoints = {points}\n" for points in (corners, *pillars))
-    scene.write_text(f"start = [3.3, -9.2, 0.4]\nradius = 0.15\ntour = [[9.0, -3.0], [3.0, -8.0]]\n{tables}")
+    scene.write_text(f"start = [3.3, -9.2, 0.4]\nradius = 0.15\n{tables}")
     laser = ["--laser.beams", "720", "--laser.max-range", "120"]
-    words = ["simulate", str(scene), "--task", "tour", "--domain", "97", "--max-time", "200", *laser]
+    words = ["simulate", str(scene), "--domain", "97", "--max-time", "200", "--timeout", "9", *laser]
     simulated = Program([sys.executable, "-c", PROGRAM, *words])
-    heard = Program([str(PEER), "--domain", "97", "--listen", "--seconds", "9999"])
+    words = [str(PEER), "--domain", "97", "--listen", "--seconds", "9999"]
+    heard, poses = Program(words), Program([*words, "--no-map"])  # who takes 40 MB apart hears nothing meanwhile
     run = live(97, folder, 60.0)
-    run.process.wait()
-    heard.end(signal.SIGTERM)
+    with Node(Network(97)) as node:  # the robot drives a circle; by itself it would map the hall, too
+        commands, make = node.writer(cmd_vel()), Messages()
+        while run.process.poll() is None:
+            commands.send(make.serialized(make.twist(0.3, 0.2), TWIST))
+            time.sleep(1.0)
+    for one in (heard, poses):
+        one.end(signal.SIGTERM)
     simulated.end()
     told = json.loads(heard.lines[-1])
-    pose, maps = told["/pose"], told["/map"]
-    area_m2 = told["map_bytes"] * 0.05**2
-    print(
-        f"/pose beside a map of {area_m2:.0f} m² ({told['map_bytes'] / 1e6:.1f} MB, sent {maps['count']} times whole, "
-    )
-    print(f"{told.get('/map_updates', {}).get('count', 0)} times in part): {pose['count']} poses, gap")
-    print(f"p99 {pose['gap_p99_s']:.3f} s, largest {pose['gap_max_s']:.3f} s")
+    whole, part = (told.get(topic, {}).get("count", 0) for topic in ("/map", "/map_updates"))
+    sent = f"{told['map_bytes'] / 1e6:.1f} MB, {whole} times whole and {part} times in part"
+    heard_gaps = gaps(json.loads(poses.lines[-1]))
+    print(f"/pose beside the map of a hall of {HALL_M**2:,.0f} m² ({sent}), scans at 10 Hz: {heard_gaps}")
+
+
+def many_beams(folder: Path) -> None:
+    """The gaps of /pose beside a laser of many beams that scans fast."""
+    one = robot(96, "", "--beams", "3600", "--hz", "20")
+    live(96, folder, 40.0).process.wait()
+    one.end(signal.SIGTERM)
+    print(f"/pose with 3,600 beams, scans at 20 Hz: {gaps(json.loads(one.lines[-1]))}")
+
+
+def gaps(told: dict[str, dict[str, float]]) -> str:
+    pose = told["/pose"]
+    return f"{pose['count']} poses, gap p99 {pose['gap_p99_s']:.3f} s, largest {pose['gap_max_s']:.3f} s"
 
 
 def restarts(times: int) -> None:
@@ -242,25 +261,30 @@ def main() -> None:
     if "--listen" in sys.argv:
         listen(*sys.argv[sys.argv.index("--listen") + 1 :])
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="found,pose,restarts,memory")
+    parser.add_argument("--only", default="found,pose,beams,restarts,memory")
     parser.add_argument("--minutes", type=float, nargs="+", default=[3.0, 15.0])
     parser.add_argument("--times", type=int, default=50)
     options = parser.parse_args()
     subprocess.run(["tests/interop/build.sh", str(PEER.parent)], check=True)
     with tempfile.TemporaryDirectory() as name:
         folder, parts = Path(name), options.only.split(",")
-        (folder / "long").mkdir()
+        for part in ("long", "beams"):
+            (folder / part).mkdir()
+        print(f"load of {os.cpu_count()} processors before: {os.getloadavg()[0]:.1f}")
         lasting = threading.Thread(target=memory, args=(folder, options.minutes))
         if "found" in parts:
             found()
         if "pose" in parts:
             pose_gaps(folder)
+        if "beams" in parts:
+            many_beams(folder / "beams")
         if "memory" in parts:
             lasting.start()
         if "restarts" in parts:
             restarts(options.times)
         if lasting.ident is not None:
             lasting.join()
+        print(f"load after: {os.getloadavg()[0]:.1f}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The map on the network, composed and sent by a process of its own: a large one takes longer than a scan may wait.
+"""The map on the network, drawn and sent by a process of its own: a large one takes longer than a scan may wait.
 
 Who subscribes to /map and /map_updates gets the whole map once, and then what changes; who takes /map alone gets it
 whole each time. The whole map goes out also when its size changes, and when a subscriber comes.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import queue
 import signal
 import time
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Network, Node
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
@@ -25,6 +27,8 @@ from sixthsense.record.messages import MAP_UPDATE, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.slam.mapping.changes import Box, Revision, box_of
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.mapper import Additions, Mapper
+from sixthsense.slam.mapping.submap import Submap
 
 MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
 UPDATES = Topic("/map_updates", MAP_UPDATE, RELIABLE)
@@ -33,6 +37,7 @@ _PERIOD_S = 2.0
 _POLL_S = 0.2  # from one look for new subscribers to the next
 _LEAVE_S = 3.0  # that the process may take to end
 _HEADER_BYTES = 1024  # of a map, at most
+_NICE = 5  # of the process beside the loop's
 
 
 class Part(NamedTuple):
@@ -42,19 +47,9 @@ class Part(NamedTuple):
     whole: Box
     """all of the map"""
     changed: Box
-    seen: bytes
-    """a bit for each cell of that box, in rows"""
-    obstacles: bytes
+    occupancy: NDArray[np.int8]
+    """(H, W) of that box, as a map server has it: 0 seen and free, 100 obstacle, -1 unknown"""
     cell_m: float
-
-    def occupancy(self) -> NDArray[np.int8]:
-        """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        shape = (self.changed.bottom - self.changed.top, self.changed.right - self.changed.left)
-        seen, obstacles = (
-            np.unpackbits(np.frombuffer(bits, np.uint8), count=shape[0] * shape[1]).reshape(shape).view(np.int8)
-            for bits in (self.seen, self.obstacles)
-        )
-        return np.where(obstacles, np.int8(100), seen - np.int8(1))
 
 
 class Parts:
@@ -72,8 +67,9 @@ class Parts:
             return None
         self._revision = changes.revision
         changed = changed or whole
-        seen, obstacles = (np.packbits(grid.part(name, changed)).tobytes() for name in ("seen", "obstacles"))
-        return Part(stamp_ns, whole, changed, seen, obstacles, cell_m)
+        occupancy = grid.part("seen", changed).astype(np.int8) - np.int8(1)
+        occupancy[grid.part("obstacles", changed)] = 100
+        return Part(stamp_ns, whole, changed, occupancy, cell_m)
 
 
 class MapWriter:
@@ -95,7 +91,7 @@ class MapWriter:
         rows, cols = part.changed.within(first, self._cells.shape)
         top, left = (max(edge - changed, 0) for edge, changed in zip(first, part.changed[:2], strict=True))
         own = self._cells[rows, cols]
-        new = part.occupancy()[top : top + own.shape[0], left : left + own.shape[1]]
+        new = part.occupancy[top : top + own.shape[0], left : left + own.shape[1]]
         differs = np.argwhere(own != new)
         own[:] = new
         if is_resized:
@@ -136,20 +132,41 @@ class MapWriter:
         self._whole, self._cells = whole, cells
 
 
+class Beginning(NamedTuple):
+    """What a map begins with."""
+
+    config: GridConfig
+    radius_m: float
+    """of the robot"""
+    earlier: Submap | None
+    """evidence of an earlier run"""
+
+
+class News(NamedTuple):
+    """The keyframes that a map has gained."""
+
+    stamp_ns: int
+    beginning: Beginning | None
+    """of another map; None: the map goes on"""
+    additions: Additions
+
+
 class MapSender:
-    """Gives the map to a process that sends it. A context manager, which ends the process."""
+    """Gives the keyframes of the map to a process that draws and sends it. A context manager, which ends it."""
 
     def __init__(self, network: Network, say: Callable[[str], object]) -> None:
         """Begin; the process joins the network by itself. `say` prints a line if it cannot."""
-        self._say, self._parts = say, Parts()
+        self._say = say
         context = multiprocessing.get_context("spawn")
-        self._queue: Queue[Part | None] = context.Queue()
+        self._queue: Queue[News | None] = context.Queue()
         self._is_free = context.Semaphore(1)
-        arguments = (network, self._queue, self._is_free)
+        self._seen_m2 = context.Value("d", 0.0)
+        arguments = (network, self._queue, self._is_free, self._seen_m2)
         self._process = context.Process(target=_send_maps, args=arguments, name="maps", daemon=True)
         with _interrupts_blocked():
             self._process.start()
-        self._taken_s, self._keyframes, self._has_ended = -_PERIOD_S, 0, False
+        self._taken_s, self._has_ended = -_PERIOD_S, False
+        self._keyframes = self._scans = 0
 
     def __enter__(self) -> Self:
         return self
@@ -162,10 +179,15 @@ class MapSender:
 
     def begin_anew(self) -> None:
         """The next map that is offered is another one."""
-        self._parts, self._keyframes = Parts(), 0
+        self._keyframes = self._scans = 0
+
+    @property
+    def seen_m2(self) -> float:
+        """Area of the map as it was sent last."""
+        return float(self._seen_m2.value)
 
     def offer(self, stamp_ns: int, trace: Trace) -> None:
-        """Give on what keyframes have changed, at most every two seconds and if the last part is sent: none waits."""
+        """Give on new keyframes, at most every two seconds and if the last ones are drawn and sent: none waits."""
         keyframes, now_s = len(trace.key_stamps_ns), time.monotonic()
         if keyframes == self._keyframes or now_s - self._taken_s < _PERIOD_S or self._has_ended:
             return
@@ -173,29 +195,54 @@ class MapSender:
             self._has_ended = True
             self._say("the map is not sent: the process that sends it has ended")
         elif self._is_free.acquire(block=False):
-            self._taken_s, self._keyframes = now_s, keyframes
-            grid = trace.draw_map()
-            part = None if grid is None else self._parts.take(stamp_ns, grid, trace.config.grid.cell_m)
-            if part is None:
-                self._is_free.release()
-            else:
-                self._queue.put(part)
+            assert trace.live is not None
+            mapper, beginning = trace.live.mapper, None
+            if not self._keyframes:
+                beginning = Beginning(trace.config.grid, trace.radius_m, mapper.earlier)
+            additions = mapper.additions(self._scans)
+            self._taken_s, self._keyframes, self._scans = now_s, keyframes, self._scans + len(additions.scans)
+            self._queue.put(News(stamp_ns, beginning, additions))
 
 
-def _send_maps(network: Network, parts: Queue[Part | None], is_free: Any) -> None:
-    """Send the map by its parts, as long as the process lives that gives them."""
+class MapDrawer:
+    """Draws a map of its keyframes, and gives what has changed to a writer."""
+
+    def __init__(self, writer: MapWriter, beginning: Beginning) -> None:
+        config, radius_m, earlier = beginning
+        self._writer, self._parts, self._cell_m = writer, Parts(), config.cell_m
+        self._mapper = Mapper(config, radius_m)
+        if earlier is not None:
+            self._mapper.start_from(earlier)
+
+    def take(self, news: News) -> Grid:
+        """Draw and tell what is new; the map."""
+        self._mapper.take(news.additions)
+        grid = self._mapper.draw()
+        if (part := self._parts.take(news.stamp_ns, grid, self._cell_m)) is not None:
+            self._writer.take(part)
+        return grid
+
+
+def _send_maps(network: Network, news: Queue[News | None], is_free: Any, seen_m2: Any) -> None:
+    """Draw and send the map, as long as the process lives that gives its keyframes, which goes before."""
     parent = multiprocessing.parent_process()
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(_NICE)
     with contextlib.suppress(InputError), Node(network) as node:
         writer = MapWriter(node)
+        drawer: MapDrawer | None = None
         while parent is None or parent.is_alive():
             try:
-                part = parts.get(timeout=_POLL_S)
+                some = news.get(timeout=_POLL_S)
             except queue.Empty:
                 writer.serve()
                 continue
-            if part is None:
+            if some is None:
                 return
-            writer.take(part)
+            if some.beginning is not None:
+                drawer = MapDrawer(writer, some.beginning)
+            assert drawer is not None
+            seen_m2.value = drawer.take(some).seen_area_m2
             is_free.release()
 
 

@@ -145,6 +145,10 @@ class Session:
             laser = dataclasses.replace(laser, period_ticks=ticks)
         self.config = dataclasses.replace(self.config, laser=laser, robot=robot)
 
+    def seen_m2(self) -> float:
+        """Area of the map as it was sent last."""
+        return self._maps.seen_m2
+
     def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
         """Run the loop until the task is over, or until the command is ended; the robot is then stopped.
 

@@ -94,7 +94,7 @@ class Recorder:
         """Record into `trace`, which shows the plans and the map from now on."""
         self._trace, self._slam, self._pilot = trace, slam, pilot
         trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
-        trace.live = Live(slam.estimator, slam.associator.records, slam.draw_map)
+        trace.live = Live(slam.estimator, slam.associator.records, slam.draw_map, slam.mapper)
         self._began = time.perf_counter()
 
     def __call__(self, tick: Tick, step: Step, command: Command) -> None:

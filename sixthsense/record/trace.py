@@ -24,6 +24,7 @@ from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.result import Step
 from sixthsense.sources.logs.log import Relations
 from sixthsense.sources.scene import Scene
@@ -95,6 +96,8 @@ class Live:
     """records of the landmarks in the estimate"""
     draw_map: Callable[[], Grid]
     """draws what is not in the map yet, as in a replay, and returns it"""
+    mapper: Mapper
+    """the keyframes of the map"""
     scan: Scan | None = None
     """the last scan, deskewed; robot's frame"""
     features: Features | None = None

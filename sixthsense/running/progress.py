@@ -110,7 +110,11 @@ class Progress:
 def seen_area(trace: Trace) -> str:
     """How much is seen of the region; empty before the first scan. An exploration has no other measure of its end."""
     grid = trace.draw_map()
-    area_m2 = 0.0 if grid is None else grid.seen_area_m2
+    return area_of(trace, 0.0 if grid is None else grid.seen_area_m2)
+
+
+def area_of(trace: Trace, area_m2: float) -> str:
+    """An area that is seen beside that of the region, if that is explored; empty for none."""
     if area_m2 == 0.0:
         return ""
     region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
@@ -123,9 +127,9 @@ def seen_area(trace: Trace) -> str:
 class LiveStatus:
     """The status of a live run: sigmas of the pose, seen area, scans a second, dropped messages."""
 
-    def __init__(self, dropped: Mapping[str, int]) -> None:
-        """`dropped` has the present numbers of dropped messages by reason."""
-        self._dropped = dropped
+    def __init__(self, dropped: Mapping[str, int], seen_m2: Callable[[], float]) -> None:
+        """`dropped` has the present numbers of dropped messages by reason; `seen_m2` gives the area of the map."""
+        self._dropped, self._seen_m2 = dropped, seen_m2
         self._before: tuple[float, int] | None = None  # time and number of scans at the last call
 
     def __call__(self, trace: Trace) -> str:
@@ -139,7 +143,7 @@ class LiveStatus:
         rate = "" if before is None else f"{(now[1] - before[1]) / (now[0] - before[0]):.1f} scans/s"
         parts = (
             f"sigma {sigma_m:.2f} m {np.degrees(sigma_rad):.1f}°",
-            seen_area(trace),
+            area_of(trace, self._seen_m2()),
             rate,
             f"{sum(self._dropped.values())} dropped",
         )

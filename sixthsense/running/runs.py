@@ -106,7 +106,7 @@ def replay_log(
 
 def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: RunHooks, prior: PriorStart | None) -> Run:
     """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
-    status = LiveStatus(session.notices.dropped)
+    status = LiveStatus(session.notices.dropped, session.seen_m2)
     bar = Progress("live", session.config.max_time, shown=watch.progress, status=status)
     return _watched(
         lambda hook: session.run(drive, hook, prior), "live", session.config, bar, folder, watch, of_log=not drive

@@ -164,6 +164,11 @@ class Slam:
         return self._loop_closures
 
     @property
+    def mapper(self) -> Mapper:
+        """The keyframes of the map."""
+        return self._mapper
+
+    @property
     def grid(self) -> Grid:
         """The map, as it was drawn last."""
         return self._mapper.grid

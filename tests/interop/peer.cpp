@@ -37,7 +37,7 @@ namespace maps = map_msgs::msg::dds_;
 struct Options {
     int domain = 0, beams = 360;
     double seconds = 20.0, hz = 10.0, ahead_s = 0.0;
-    bool listens = false, obeys = false, is_best_effort = false, asks = false;
+    bool listens = false, obeys = false, is_best_effort = false, asks = false, takes_map = true;
     std::string peer;
 };
 
@@ -274,6 +274,7 @@ Options parsed(int argc, char** argv) {
         else if (word == "--peer") o.peer = next();
         else if (word == "--listen") o.listens = true;
         else if (word == "--obey") o.obeys = true;
+        else if (word == "--no-map") o.takes_map = false;
         else if (word == "--ask") o.asks = true;
         else if (word == "--best-effort") o.is_best_effort = true;
         else { std::fprintf(stderr, "%s: unknown\n", word.c_str()); std::exit(2); }
@@ -287,8 +288,8 @@ int main(int argc, char** argv) {
     Peer peer(options);
     peer.listen<geometry::PoseWithCovarianceStamped_PubSubType, geometry::PoseWithCovarianceStamped_>("/pose");
     peer.listen<tf::TFMessage_PubSubType, tf::TFMessage_>("/tf");
-    peer.listen<nav::OccupancyGrid_PubSubType, nav::OccupancyGrid_>("/map", true);
-    peer.listen<maps::OccupancyGridUpdate_PubSubType, maps::OccupancyGridUpdate_>("/map_updates");
+    if (options.takes_map) peer.listen<nav::OccupancyGrid_PubSubType, nav::OccupancyGrid_>("/map", true);
+    if (options.takes_map) peer.listen<maps::OccupancyGridUpdate_PubSubType, maps::OccupancyGridUpdate_>("/map_updates");
     if (options.obeys) peer.listen<geometry::Twist_PubSubType, geometry::Twist_>("/cmd_vel");
     const auto now = std::chrono::system_clock::now().time_since_epoch();
     std::printf("%.3f\n", std::chrono::duration<double>(now).count());  // when it has joined

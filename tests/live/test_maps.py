@@ -1,5 +1,6 @@
 """Maps on the network: what a subscriber puts together of them is the map, whoever comes when."""
 
+import pickle
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,9 +9,10 @@ import numpy as np
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.maps import MAP, UPDATES, MapWriter, Parts
+from sixthsense.live.maps import MAP, UPDATES, Beginning, MapDrawer, MapWriter, News, Parts
 from sixthsense.record.messages import Messages
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.mapper import Mapper
 
 MAKE, STAMP = Messages(), 1_700_000_000_123_456_789
 NO_WALLS = np.zeros((0, 2, 2))
@@ -107,3 +109,31 @@ def test_a_map_that_is_too_large_for_a_message_is_not_sent():
     assert parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is not None
     look(trace, Pose(1500.0, 1400.0, 0.7), 3.0)
     assert parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is None
+
+
+def test_the_process_of_the_map_draws_what_the_run_would_draw_also_when_poses_move_and_a_map_begins_anew():
+    node, config, rng = Network(), preset(grid={"cell_m": 0.15}).grid, np.random.default_rng(4)
+    node.readers.update({MAP.name: 1, UPDATES.name: 1})
+    writer = MapWriter(node)
+    for origin, earlier in ((Pose(0.4, -0.3, 0.7), None), (Pose(-7.3, 4.1, 2.0), Grid(config, 0.2))):
+        if earlier is not None:
+            see = np.linspace(2.0, 4.0, 200, dtype=np.float32)
+            earlier.add(Pose(1.3, 5.2, 0.3), Scan(see, np.float32(-2.9), np.float32(0.029), 9.0), NO_WALLS)
+        evidence = None if earlier is None else earlier.submap()
+        own, sent, trajectory = Mapper(config, 0.2), 0, np.zeros((0, 3))
+        if evidence is not None:
+            own.start_from(evidence)
+        drawer = MapDrawer(writer, pickle.loads(pickle.dumps(Beginning(config, 0.2, evidence))))
+        for count in (1, 4, 13, 14, 31):
+            for k in range(len(trajectory), count):
+                ranges = rng.uniform(1.0, 5.0, 200).astype(np.float32)
+                here = origin @ Pose(0.21 * k, 0.03 * k, 0.17 * k)
+                trajectory = np.vstack([trajectory + 0.004 * rng.standard_normal((k, 3)), here.array()])
+                walls = np.array([[[1.1, 2.2], [3.1, 2.4]]])
+                own.add(k, trajectory.copy, Scan(ranges, np.float32(-2.9), np.float32(0.029), 9.0), walls)
+            news = News(STAMP, None, own.additions(sent))
+            sent = count
+            grid = drawer.take(pickle.loads(pickle.dumps(news)))
+            np.testing.assert_array_equal(grid.occupancy(), own.draw().occupancy())
+            np.testing.assert_array_equal(node.cells, grid.occupancy())
+            assert (node.info.origin.position.x, node.info.origin.position.y) == grid.origin

@@ -97,5 +97,5 @@ def test_covariances_of_points_are_their_blocks_of_the_joint_covariance() -> Non
             return joint[np.ix_(rows, rows)]
 
     estimate = Estimate(pose_of(rng), joint[:3, :3], ids, rng.normal(size=(3, 2)), np.array([False, True, False]))
-    found = Live(Known(), {}, None).point_covariances(estimate)  # type: ignore[arg-type]
+    found = Live(Known(), {}, None, None).point_covariances(estimate)  # type: ignore[arg-type]
     assert np.array_equal(found, [joint[3:5, 3:5], joint[7:9, 7:9]])

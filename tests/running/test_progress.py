@@ -28,13 +28,15 @@ def test_the_status_of_a_live_run_has_sigmas_rate_and_dropped_messages(monkeypat
     now_s = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
     dropped: Counter[str] = Counter()
-    status = LiveStatus(dropped)
+    seen_m2 = [0.0]
+    status = LiveStatus(dropped, lambda: seen_m2[0])
     assert status(a_live_trace(3)) == "sigma 0.05 m 0.5°, 0 dropped"
     now_s[0] = 2.0
     dropped.update({"scan late": 3, "odometry twice": 1})
     assert status(a_live_trace(21)) == "sigma 0.05 m 0.5°, 9.0 scans/s, 4 dropped"
     now_s[0] = 6.0
-    assert status(a_live_trace(23)) == "sigma 0.05 m 0.5°, 0.5 scans/s, 4 dropped"
+    seen_m2[0] = 23.4
+    assert status(a_live_trace(23)) == "sigma 0.05 m 0.5°, 23 m² seen, 0.5 scans/s, 4 dropped"
 
 
 def at(seconds: float) -> SimpleNamespace:

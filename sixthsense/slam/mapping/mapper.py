@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,17 @@ BODY_M = 0.2
 """kept from what moves besides: the laser sees legs, and a body is wider"""
 SCANS_PER_SUBMAP = 10
 """Keyframes of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
+
+
+class Additions(NamedTuple):
+    """What a mapper was given since a number of keyframes: another one that takes it draws the same map."""
+
+    scans: list[tuple[int, Scan, Array]]
+    """as `add` has them: row in the trajectory, scan, walls"""
+    trajectory: Array
+    """(K, 3) present poses of all keyframes"""
+    standing_robot: Array
+    """(M, 2) returns of who stands in the newest keyframe"""
 
 
 class Mapper:
@@ -50,7 +62,7 @@ class Mapper:
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
         self._standing_robot, self._has_passing = _NOTHING, False
-        self._earlier: Submap | None = None
+        self.earlier: Submap | None = None
         """evidence of an earlier run"""
         self._base: list[Submap] = []
         """evidence before that of the first scan: the earlier run's as that of a few scans"""
@@ -63,7 +75,7 @@ class Mapper:
         """
         config = self._config
         rules = EvidenceRules(config.min_hits, config.max_hits, config.passes_per_hit)
-        self._earlier, self._base = evidence, [weakened(evidence, rules)]
+        self.earlier, self._base = evidence, [weakened(evidence, rules)]
         self._clear()
 
     def add(
@@ -86,6 +98,17 @@ class Mapper:
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
         self._trajectory = trajectory
 
+    def additions(self, since: int) -> Additions:
+        """What was added since there were so many keyframes."""
+        rows, scans = self._rows[since:], self._scans[since:]
+        added = [(row, scan, walls) for row, (scan, walls) in zip(rows, scans, strict=True)]
+        return Additions(added, self._trajectory(), self._standing_robot)
+
+    def take(self, additions: Additions) -> None:
+        """Add what another mapper was given."""
+        for row, scan, walls in additions.scans:
+            self.add(row, lambda: additions.trajectory, scan, walls, additions.standing_robot)
+
     def are_free(self, points: Array, within_m: float) -> Bools:
         """(N,) whether the cells within a distance and a cell of points (N, 2), world frame, are seen and free."""
         grid = self.draw()
@@ -107,8 +130,8 @@ class Mapper:
         self.draw()
         if self._has_passing:
             self._let_pass(_NOTHING)
-        if self._earlier is not None:
-            self.grid.mark_seen(self._earlier.cells[self._earlier.seen])
+        if self.earlier is not None:
+            self.grid.mark_seen(self.earlier.cells[self.earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], {}
 
     def _clear(self) -> None:
