@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.freespace import Bools, ahead, ray_from
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -57,22 +57,12 @@ def expected_gain(obstacles: Bools, unseen: Bools, row: int, col: int, rays: int
     count = 0
     for i in range(rays):
         angle = 2.0 * math.pi * i / rays
-        cos, sin = math.cos(angle), math.sin(angle)
-        r, c = row, col
-        step_r, step_c = (1 if sin > 0.0 else -1), (1 if cos > 0.0 else -1)
-        per_r, per_c = abs(1.0 / sin), abs(1.0 / cos)
-        next_r, next_c = 0.5 * per_r, 0.5 * per_c
+        ray = ray_from(col + 0.5, row + 0.5, math.cos(angle), math.sin(angle))
         left = depth
         while left > 0:
-            if next_c < next_r:
-                at = next_c
-                c += step_c
-                next_c += per_c
-            else:
-                at = next_r
-                r += step_r
-                next_r += per_r
-            if at > reach or not (0 <= r < height and 0 <= c < width) or obstacles[r, c]:
+            ray = ahead(ray)
+            r, c = ray.row, ray.col
+            if ray.gone > reach or not (0 <= r < height and 0 <= c < width) or obstacles[r, c]:
                 break
             if unseen[r, c]:
                 left -= 1

@@ -12,6 +12,7 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.evidence import are_obstacles
+from sixthsense.slam.mapping.freespace import ahead, ray_from
 from sixthsense.slam.mapping.submap import Submap
 from sixthsense.slam.scans.returns import ScanStore, full_turn
 
@@ -109,20 +110,13 @@ def _cast(
     height, width = cells.shape
     for k in range(len(bearings)):
         c, s = math.cos(bearings[k]), math.sin(bearings[k])
-        i, j = math.floor(x), math.floor(y)
-        di, dj = (1 if c > 0.0 else -1), (1 if s > 0.0 else -1)
-        per_i = math.inf if c == 0.0 else abs(1.0 / c)
-        per_j = math.inf if s == 0.0 else abs(1.0 / s)
-        next_i = per_i * (i + 1 - x if c > 0.0 else x - i) if c != 0.0 else math.inf
-        next_j = per_j * (j + 1 - y if s > 0.0 else y - j) if s != 0.0 else math.inf
-        gone = 0.0
-        while gone < reach and 0 <= i < width and 0 <= j < height and cells[j, i] != _UNSEEN:
+        ray = ray_from(x, y, c, s)
+        while ray.gone < reach and 0 <= ray.col < width and 0 <= ray.row < height:
+            i, j = ray.col, ray.row
+            if cells[j, i] == _UNSEEN:
+                break
             if cells[j, i] == _OBSTACLE:
                 ranges[k] = (surfaces[j, i, 0] - x) * c + (surfaces[j, i, 1] - y) * s
                 break
-            gone = min(next_i, next_j)
-            if next_i < next_j:
-                i, next_i = i + di, next_i + per_i
-            else:
-                j, next_j = j + dj, next_j + per_j
+            ray = ahead(ray)
     return ranges
