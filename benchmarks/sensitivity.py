@@ -46,12 +46,12 @@ GROUPS = {
         "loop_closures._CERTAIN_M",
     ),
     "place search": (
-        "place_search._RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
+        "place_search.RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
         "place_search._CANDIDATES",
     ),
-    "evidence": ("evidence._CLEARLY", "evidence._PARTNERS", "evidence._SCANS_BEYOND"),
-    "verification": ("verification._GOOD_SHARE",),
-    "votes": ("votes.NEW_M", "graph._CONTRADICTION"),
+    "evidence": ("place_search._CLEARLY", "place_search._PARTNERS", "place_search._SCANS_BEYOND"),
+    "verification": ("place_search._GOOD_SHARE",),
+    "votes": ("place_search.NEW_M", "graph._CONTRADICTION"),
     "thinning": ("graph._ENOUGH", "graph._NEAR_M"),
 }  # fmt: skip
 SHARES = {"NORMALS_AGREE", "AGREEMENT", "_DOUBTED", "_AS_GOOD"}

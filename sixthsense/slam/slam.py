@@ -249,7 +249,7 @@ class Slam:
 
     def _placed(self, scan: Scan, increment: Odometry | None) -> Odometry | None:
         """The increment to the first scan, and the motion from there to where it fits the prior map."""
-        from sixthsense.slam.start_search import located
+        from sixthsense.slam.relocalization import located
 
         assert self._unplaced is not None
         (prior_map, cov), self._unplaced = self._unplaced, None

@@ -14,7 +14,7 @@ from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap
 from sixthsense.slam.prior_map import PriorMap
-from sixthsense.slam.start_search import located
+from sixthsense.slam.relocalization import located
 
 LASER, GRID = LaserConfig(), GridConfig()
 ROOM = outline((0, 0), (5, 0), (5, 4), (3, 4), (3, 3), (0, 3))

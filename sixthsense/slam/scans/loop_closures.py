@@ -10,6 +10,7 @@ on.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,23 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.motion_source import WHEELS_M_PER_M
-from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, Closings, ScanGraph, Thinning
-from sixthsense.slam.scans.place_search import PlaceSearch, of_last_metres
+from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, REACH_M, Closings, ScanGraph, Thinning
+from sixthsense.slam.scans.place_search import (
+    ANCHORS_APART_M,
+    BACK_M,
+    HALF_M,
+    NEW_M,
+    RECENT_M,
+    ExpectedPoses,
+    Vote,
+    Votes,
+    best_place,
+    of_last_metres,
+    surfaces_around,
+    vote_for,
+)
+from sixthsense.slam.scans.places import BINS, VOXEL_M, Pyramid, appearance, pyramid, submap_points
 from sixthsense.slam.scans.tracking import Tracked
-from sixthsense.slam.scans.verification import vote_for
-from sixthsense.slam.scans.votes import NEW_M, Vote, Votes
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
@@ -39,7 +52,8 @@ class LoopClosures:
         self._graph = graph
         self.closings = Closings(graph)
         self._thinning = Thinning(graph, self.closings)
-        self._search = PlaceSearch(config, graph)
+        self._min_score = config.min_score
+        self._passes = Passes(graph)
         self._votes = Votes(graph)
         self._travelled = np.zeros(64)
         """(K,) m, at each keyframe"""
@@ -118,7 +132,10 @@ class LoopClosures:
             self._search_uncertain(key, old[~is_certain[old]], sigma_m, sigma_rad)
 
     def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:
-        found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count])
+        travelled_m = self._travelled[: self._graph.count]
+        self._passes.seek(key, old, travelled_m)
+        expected = self._passes.expected(key, sigma_m, sigma_rad)
+        found = best_place(self._graph, key, travelled_m, self._passes, expected, self._min_score)
         if found is None:
             return
         if found.is_ambiguous:
@@ -129,7 +146,7 @@ class LoopClosures:
         if vote is None:
             self._refused += 1
         elif self._count(vote):
-            self._search.forget()
+            self._passes.forget()
 
     def _count(self, vote: Vote) -> bool:
         """Count a vote, and close the loop if enough agree; whether that was done."""
@@ -139,3 +156,103 @@ class LoopClosures:
         links = {(int(f.targets[k]), int(f.sources[k])): (f, k) for v in agreeing for f, k in v.links}
         self.closings.close(list(links.values()))
         return True
+
+
+class OldPass(NamedTuple):
+    """Old keyframes of one pass."""
+
+    graph: ScanGraph
+    keys: NDArray[np.int64]
+
+    def partners(self, key: int, at: Array, most: int) -> NDArray[np.int64]:
+        """Those whose views overlap most."""
+        return self.keys[self.graph.overlapping(key, at, self.keys, REACH_M)[:most]]
+
+
+class Passes:
+    """Earlier passes as known places: what is around one keyframe in some metres of travel."""
+
+    def __init__(self, graph: ScanGraph) -> None:
+        self._graph = graph
+        self._all: list[int] = []
+        """keyframes of the anchors, of each of which the submap around it is complete"""
+        self._looks = np.zeros((64, BINS))
+        """what the places around them look like"""
+        self._next_m = 0.0
+        """travel at which the next anchor is"""
+        self._rows = np.zeros(0, dtype=np.int64)
+        """anchors that are sought among"""
+        self._old = self._known = self._rows
+        """uncertain keyframes, and all that places are judged by"""
+        self._travelled_m = np.zeros(0)
+        self._submaps: dict[tuple[int, float], Pyramid] = {}
+        """of this search: by an anchor, and what its points were limited to"""
+        self._earlier = self._submaps
+        """of the one before"""
+
+    @property
+    def _keys(self) -> NDArray[np.int64]:
+        return np.array(self._all, dtype=np.int64)[self._rows]
+
+    @property
+    def anchors(self) -> Array:
+        """(n, 3) poses of the keyframes."""
+        return np.asarray(self._graph.poses[self._keys])
+
+    @property
+    def looks(self) -> Array:
+        """(n, BINS) what the places look like."""
+        return self._looks[self._rows]
+
+    def seek(self, key: int, old: NDArray[np.int64], travelled_m: Array) -> None:
+        """Seek keyframe `key` among the uncertain keyframes `old`; `travelled_m` (K,) is at all of them."""
+        self._describe(int(old[-1]) + 1 if len(old) else 0, travelled_m)
+        self._rows = np.flatnonzero(np.isin(self._all, old))
+        # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
+        # Certain by travel alone are those that overlap the placed scans themselves: they agree with any place.
+        passed = self._graph.is_kept[:key] & (travelled_m[key] - travelled_m[:key] > BACK_M + REACH_M)
+        self._old, self._known = old, np.union1d(old, np.flatnonzero(passed))
+        self._travelled_m, self._earlier, self._submaps = travelled_m, self._submaps, {}
+
+    def expected(self, key: int, sigma_m: Array, sigma_rad: Array) -> ExpectedPoses:
+        """Where a keyframe is, by the poses and their sigmas (K,) relative to it."""
+        keys = self._keys
+        return ExpectedPoses(between(self._graph.poses[keys], self._graph.poses[key]), sigma_m[keys], sigma_rad[keys])
+
+    def forget(self) -> None:
+        """Draw submaps anew: the keyframes have moved."""
+        self._submaps = {}
+
+    def surroundings(self, place: int) -> OldPass:
+        """The keyframes that are known along the way there."""
+        off_m = self._travelled_m[self._known] - self._travelled_m[self._keys[place]]
+        return OldPass(self._graph, self._known[np.abs(off_m) < HALF_M + BACK_M + REACH_M])
+
+    def submap(self, place: int, range_m: float) -> Pyramid:
+        """The submap around an anchor, of one pass: what can be seen on the last metres to any of its poses.
+
+        A robot that comes the other way sees what lay behind it.
+        """
+        which = int(self._keys[place]), range_m
+        self._submaps[which] = self._earlier.get(which) or self._drawn(*which)
+        return self._submaps[which]
+
+    def _drawn(self, anchor: int, range_m: float) -> Pyramid:
+        poses, past = self._graph.poses, int(self._old[-1]) + 1
+        keys = np.flatnonzero(np.abs(self._travelled_m[:past] - self._travelled_m[anchor]) < HALF_M + RECENT_M)
+        at = between(poses[anchor], poses[keys])
+        return pyramid(submap_points(self._graph.store.returns, keys, at, VOXEL_M, range_m))
+
+    def _describe(self, past: int, travelled_m: Array) -> None:
+        """Keep what places look like whose submaps are complete without keyframes from `past` on."""
+        while past:
+            anchor = int(np.searchsorted(travelled_m[:past], self._next_m))
+            if anchor == past or travelled_m[anchor] + HALF_M >= travelled_m[past]:
+                return
+            keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < HALF_M)
+            at = between(self._graph.poses[anchor], self._graph.poses[keys])
+            if len(self._all) == len(self._looks):
+                self._looks = np.concatenate([self._looks, np.zeros_like(self._looks)])
+            self._looks[len(self._all)] = appearance(surfaces_around(self._graph, keys, at)[0])
+            self._all.append(anchor)
+            self._next_m = float(travelled_m[anchor]) + ANCHORS_APART_M

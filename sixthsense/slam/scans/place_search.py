@@ -1,48 +1,139 @@
-"""Search of a scan's place: among earlier passes, or in a map.
+"""Search of a scan's place in what is known: among earlier passes, or in a map.
 
-Earlier places are proposed by what they look like, and by how likely the robot is near them; what was seen on the last
-metres is searched for there by branch and bound. Visibility judges the places that are found.
+Places are proposed by what they look like, and by how likely the robot is near them; what was seen on the last metres
+is searched for there by branch and bound. The scans of the last metres judge the places that are found: how much of
+what they and the known scans could both see they explain. The scans are followed back from the newest one, each aligned
+with known ones from where the one before it was. What the known scans could not have seen is no evidence, and what they
+saw through is evidence against the place: in the score of a submap both look alike. Two places are compared on the
+scans that tell about both, since a scan of which little is explained at one place has little explained at all places
+that look alike. A place is verified by pairs of scans that are aligned at it, see each other's surfaces, and agree
+about the pose. Places that are verified some metres apart must agree before one of them is believed.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.sections import ScansConfig
-from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import between, compose
-from sixthsense.slam.scans.appearance import appearance
-from sixthsense.slam.scans.evidence import BACK_M, OldPass, PlacedScans, Surroundings, evidence_of, followed_back
-from sixthsense.slam.scans.graph import REACH_M, ScanGraph
-from sixthsense.slam.scans.places import (
-    NEAR_M,
-    PLACE,
-    VOXEL_M,
-    Pyramid,
-    Window,
-    peaks,
-    pyramid,
-    submap_points,
-    surfaces,
-)
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.se2 import between, compose, inverse
+from sixthsense.slam.scans.alignment import HITS
+from sixthsense.slam.scans.graph import AGREEMENT, REACH_M
+from sixthsense.slam.scans.links import LEAST_HITS, SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
+from sixthsense.slam.scans.places import NEAR_M, PLACE, Apart, Pyramid, Window, appearance, peaks, surfaces
+from sixthsense.slam.scans.returns import ScanStore
+from sixthsense.slam.scans.tracking import NEAREST
+from sixthsense.slam.scans.visibility import explained
 
-_RECENT_M = 6.0  # travel of the submap that is searched for
+RECENT_M = 6.0
+"""travel of the submap that is searched for"""
 _RECENT_VOXEL_M = 0.2  # of these points, and of what places look like; those of old submaps are denser
 LEAST_POINTS = 60
-"""without as many points of the last metres there is no search"""
-MOST_POINTS = 200
-_ANCHORS_APART_M, _HALF_M = 3.0, 5.0  # travel between the anchors of old submaps, and along each of them to either side
+"""with fewer points of the last metres what is far away counts, too; with fewer even so there is no search"""
+_MOST_POINTS = 200
+ANCHORS_APART_M, HALF_M = 3.0, 5.0
+"""between the anchors of places, and around each of them to either side"""
 _CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
 SIGMAS = 2.0  # of a pose within a submap
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
 _FREEDOM = 4.0  # degrees of freedom of Student's distribution of a distance: sigmas may be wrong
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
+
+_PARTNERS = 2  # known scans that each is compared with
+BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
+_SHIFT_M, _SHIFT_M_PER_M = 0.05, 0.08  # an alignment may shift a scan beyond the one before
+_SHIFT_RAD = 0.1
+_LEAST_SCANS = 3  # that tell about two places which are compared, where there are as many
+_CLEARLY = 0.32  # scans' worth of points that a place must explain beyond another one
+_SCANS_BEYOND = 6  # or this many scans more that tell about it
+
+_LEAST_GOOD, _GOOD_SHARE = 3, 0.4  # pairs that align, and their share of those that tell about the place
+
+NEW_M = 1.5  # travel that shows something new: between two votes that count both, and two searches of alike places
+_LASTS_M = 10.0  # travel after which a vote is dropped
+NEAR = Apart(0.35, 0.06)  # poses that agree about a place
+
+
+class PlacedScans(Protocol):
+    """Scans with their poses."""
+
+    @property
+    def store(self) -> ScanStore:
+        """The scans, a row each."""
+
+    @property
+    def poses(self) -> Array:
+        """(K, 3) of their lasers."""
+
+    @property
+    def usual_agreement(self) -> float:
+        """Share of the returns, of those that are judged, that scans of one place usually agree in."""
+
+
+class Surroundings(Protocol):
+    """What is known of a place."""
+
+    def partners(self, key: int, at: Array, most: int) -> NDArray[np.int64]:
+        """Rows of up to `most` scans whose views overlap that of scan `key` if its laser is at `at` (3,)."""
+
+
+class KnownPlaces(Protocol):
+    """What is known, in places around anchors."""
+
+    @property
+    def anchors(self) -> Array:
+        """(n, 3) poses."""
+
+    @property
+    def looks(self) -> Array:
+        """(n, BINS) what the places look like."""
+
+    def submap(self, place: int, range_m: float) -> Pyramid:
+        """What is seen from a place, in its anchor's frame; `range_m` is how far returns are at most."""
+
+    def surroundings(self, place: int) -> Surroundings:
+        """What scans are compared with there."""
+
+
+class ExpectedPoses(NamedTuple):
+    """Where the newest scan is expected, without the scans."""
+
+    poses: Array
+    """(n, 3) of its laser, in the frame of each anchor"""
+    sigma_m: Array
+    """(n,) of the position; infinite if nothing is known"""
+    sigma_rad: Array
+    """(n,) of the heading"""
+
+    @classmethod
+    def anywhere(cls, count: int) -> ExpectedPoses:
+        """At any of so many places, with any heading."""
+        return cls(np.zeros((count, 3)), np.full(count, np.inf), np.full(count, np.inf))
+
+    def window(self, place: int) -> Window | None:
+        """Where around an anchor the scan may be; None if it is nowhere there."""
+        x, y, theta = self.poses[place]
+        half_m = SIGMAS * self.sigma_m[place] + _MARGIN_M
+        low, high = np.maximum((x - half_m, y - half_m), -HALF_M), np.minimum((x + half_m, y + half_m), HALF_M)
+        if (low > high).any():
+            return None
+        half_rad = min(SIGMAS * float(self.sigma_rad[place]) + _MARGIN_RAD, math.pi)
+        return Window(np.array([*(0.5 * (low + high)), theta]), 0.5 * float((high - low).max()), half_rad)
+
+
+class Candidate(NamedTuple):
+    """A place where the last metres may have been seen."""
+
+    pose: Array
+    """(3,) of the newest scan's laser"""
+    score: float
+    """share of the points that are explained"""
+    known: Surroundings
 
 
 class Hypothesis(NamedTuple):
@@ -56,50 +147,73 @@ class Hypothesis(NamedTuple):
     """whether another place is nearly as good"""
 
 
-class Look(NamedTuple):
-    """Where a scan may be."""
-
-    cells: Pyramid
-    window: Window
-    """in the frame of the cells"""
-    frame: Array
-    """(3,) pose of that frame"""
-    known: Surroundings
-    """what the scans are compared with there"""
-
-
-class _Candidate(NamedTuple):
-    pose: Array
-    """(3,) of the newest scan"""
-    score: float
-    known: Surroundings
-
-
 def best_place(
-    scans: PlacedScans, keys: NDArray[np.int64], points: Array, looks: Sequence[Look], min_score: float
+    scans: PlacedScans, key: int, travelled_m: Array, places: KnownPlaces, expected: ExpectedPoses, min_score: float
 ) -> Hypothesis | None:
-    """The best pose of the scan `keys[0]` by all looks together; None if none is good enough.
+    """The best pose of scan `key` among known places; None if none is good enough.
 
-    `points` (N, 2) are what was seen lately, in the frame of that scan's laser, and `keys` the scans of the way there,
-    the newest first. A good place explains at least the share `min_score` of the points that scans usually agree in.
+    `travelled_m` (K,) is at each scan. A good place explains at least the share `min_score` of the points that scans
+    usually agree in.
     """
-    top, min_score = 0.0, min_score * scans.usual_agreement
-    for look in looks:
-        best = peaks(look.cells, points, look.window, max(min_score, top), PLACE, most=1)
+    found = proposed(scans, key, travelled_m, places, expected, min_score)
+    return judged(scans, followed_back(travelled_m, key), found) if found else None
+
+
+def proposed(
+    scans: PlacedScans,
+    key: int,
+    travelled_m: Array,
+    places: KnownPlaces,
+    expected: ExpectedPoses,
+    min_score: float,
+    least_points: int = LEAST_POINTS,
+) -> list[Candidate]:
+    """Different places where what was seen on the last metres up to scan `key` may be, the best score first."""
+    keys = of_last_metres(travelled_m, key)
+    near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
+    if len(near) < least_points:
+        return []
+    points, looks = _thinned(near), []
+    for place in likeliest(places, expected, appearance(near)):
+        window = expected.window(place)
+        if window is not None:
+            looks.append((place, places.submap(place, range_m), window))
+    top, least = 0.0, min_score * scans.usual_agreement
+    for _, submap, window in looks:
+        best = peaks(submap, points, window, max(least, top), PLACE, most=1)
         top = max(top, float(best[0, 0]) if len(best) else 0.0)
-    # What is worth a comparison is known only now, and most looks end here.
-    if top < min_score:
-        return None
-    found: list[_Candidate] = []
-    for look in looks:
-        rows = peaks(look.cells, points, look.window, _AS_GOOD * top, PLACE)
-        placed = compose(look.frame, rows[:, 1:])
-        found += [_Candidate(pose, score, look.known) for pose, score in zip(placed, rows[:, 0].tolist(), strict=True)]
-    return _judged(scans, keys, _distinct(found))
+    # What is worth a comparison is known only now, and most searches stop at this test.
+    if top < least:
+        return []
+    found: list[Candidate] = []
+    for place, submap, window in looks:
+        rows, known = peaks(submap, points, window, _AS_GOOD * top, PLACE), places.surroundings(place)
+        placed = compose(places.anchors[place], rows[:, 1:])
+        found += [Candidate(pose, score, known) for pose, score in zip(placed, rows[:, 0].tolist(), strict=True)]
+    return distinct(found)
 
 
-def _judged(scans: PlacedScans, keys: NDArray[np.int64], candidates: list[_Candidate]) -> Hypothesis:
-    """The candidate that the last scans explain best, and whether another one is nearly as good."""
+def likeliest(places: KnownPlaces, expected: ExpectedPoses, look: Array) -> list[int]:
+    """Places that look most like `look` (BINS,) does, and that the scan is likely near; some metres apart."""
+    anchors = places.anchors
+    if not len(anchors):
+        return []
+    alike = places.looks @ look
+    square = (expected.poses[:, :2] ** 2).sum(axis=1) / (expected.sigma_m**2 + REACH_M**2)
+    score = (alike - alike.mean()) / max(float(alike.std()), 1e-3)
+    score -= 0.5 * (_FREEDOM + 2.0) * np.log1p(square / _FREEDOM)
+    chosen: list[int] = []
+    for place in np.argsort(-score, kind="stable").tolist():
+        gap = anchors[chosen, :2] - anchors[place, :2]
+        if (np.hypot(gap[:, 0], gap[:, 1]) > _CANDIDATES_APART_M).all():
+            chosen.append(place)
+            if len(chosen) == _CANDIDATES:
+                break
+    return chosen
+
+
+def judged(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequence[Candidate]) -> Hypothesis:
+    """The candidate, of at least one, that the scans `keys` explain best, and whether another one is nearly as good."""
     if len(candidates) > _MOST_COMPARED:
         return Hypothesis(candidates[0].pose, candidates[0].known, True)
     found = evidence_of(scans, keys, np.array([c.pose for c in candidates]), [c.known for c in candidates])
@@ -109,9 +223,9 @@ def _judged(scans: PlacedScans, keys: NDArray[np.int64], candidates: list[_Candi
     return Hypothesis(most.pose, best.known, not all(most.is_clearly_better(other) for other in others))
 
 
-def _distinct(candidates: list[_Candidate]) -> list[_Candidate]:
-    """Candidates of different places, the best first."""
-    chosen: list[_Candidate] = []
+def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates of different places, the best score first; one more than are compared, at most."""
+    chosen: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score):
         if len(chosen) > _MOST_COMPARED:
             break
@@ -126,128 +240,188 @@ def is_same_place(one: Array, other: Array) -> bool:
 
 
 def of_last_metres(travelled_m: Array, key: int) -> NDArray[np.int64]:
-    """The keyframes of the last metres before `key`, and itself; `travelled_m` (K,) is at each."""
-    return np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - _RECENT_M)
+    """The scans of the last metres before `key`, and itself; `travelled_m` (K,) is at each."""
+    return np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
 
 
-def recent_surfaces(scans: PlacedScans, key: int, travelled_m: Array) -> tuple[Array, float]:
-    """(N, 4) surfaces of the scans of the last metres, in the frame of the newest, `key`, and how far they are at most.
+def surfaces_around(scans: PlacedScans, keys: NDArray[np.int64], at: Array) -> tuple[Array, float]:
+    """(N, 4) surfaces of scans in the frame of their poses `at` (n, 3), and how far returns are at most.
 
-    `travelled_m` (K,) is at each keyframe. Where there is too little nearby, all that is seen counts.
+    Where there is too little nearby, all that is seen counts.
     """
-    keys = of_last_metres(travelled_m, key)
-    return _surfaces(scans, keys, between(scans.poses[key], scans.poses[keys]), _RECENT_VOXEL_M)
-
-
-def _surfaces(scans: PlacedScans, keys: NDArray[np.int64], at: Array, voxel_m: float) -> tuple[Array, float]:
-    near = surfaces(scans.store.returns, keys, at, voxel_m)
+    near = surfaces(scans.store.returns, keys, at, _RECENT_VOXEL_M)
     if len(near) >= LEAST_POINTS:
         return near, NEAR_M
-    return surfaces(scans.store.returns, keys, at, voxel_m, math.inf), math.inf
+    return surfaces(scans.store.returns, keys, at, _RECENT_VOXEL_M, math.inf), math.inf
 
 
-def recent_points(scans: PlacedScans, key: int, travelled_m: Array) -> Array:
-    """(N, 2) of `recent_surfaces`, thinned."""
-    return thinned(recent_surfaces(scans, key, travelled_m)[0])
-
-
-def thinned(found: Array) -> Array:
+def _thinned(found: Array) -> Array:
     """(N, 2) points of surfaces (M, 4), as many as are searched for."""
-    rows = np.linspace(0, len(found) - 1, min(len(found), MOST_POINTS)).astype(np.int64)
+    rows = np.linspace(0, len(found) - 1, min(len(found), _MOST_POINTS)).astype(np.int64)
     return np.ascontiguousarray(found[rows, :2])
 
 
-class PlaceSearch:
-    """Keeps what earlier places look like, and searches for the newest scan in submaps around the likeliest of them."""
+class Evidence(NamedTuple):
+    """What scans say of a place."""
 
-    def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
-        self._config, self._graph = config, graph
-        self._anchors: list[int] = []
-        """keyframes, one in some metres of travel; of each the submap around it is complete"""
-        self._looks: list[Array] = []
-        """what the places around the anchors look like"""
-        self._next_m = 0.0
-        """travel at which the next anchor is"""
-        self._submaps: dict[tuple[int, float], Pyramid] = {}
-        """of the anchors of the last look, with what their points were limited to"""
+    pose: Array
+    """(3,) of the newest scan, aligned"""
+    shares: Array
+    """(n,) of what a scan and the old ones could both see: the part that is explained; NaN where that is too little"""
 
-    def forget(self) -> None:
-        """Draw submaps anew: the keyframes have moved."""
-        self._submaps.clear()
+    @property
+    def weight(self) -> float:
+        """Scans that the place explains, beyond a half each."""
+        return float(np.nansum(self.shares - 0.5))
 
-    def best(
-        self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array, travelled_m: Array
-    ) -> Hypothesis | None:
-        """The best pose of keyframe `key` among the uncertain keyframes `old`; None if none is good enough.
+    def is_clearly_better(self, other: Evidence) -> bool:
+        """Whether this place explains clearly more than another one, on the same scans."""
+        off = self.shares - other.shares
+        both, least = np.isfinite(off), min(_LEAST_SCANS, len(off))
+        if both.sum() >= least:
+            return float(off[both].sum()) >= _CLEARLY * least / _LEAST_SCANS
+        return int(np.isfinite(self.shares).sum()) - int(np.isfinite(other.shares).sum()) >= _SCANS_BEYOND
 
-        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all keyframes.
-        """
-        self._describe(int(old[-1]) + 1 if len(old) else 0, travelled_m)
-        found, range_m = recent_surfaces(self._graph, key, travelled_m)
-        if len(found) < LEAST_POINTS:
-            return None
-        # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
-        # Certain by travel alone are those that overlap the placed scans themselves: they agree with any place.
-        passed = self._graph.is_kept[:key] & (travelled_m[key] - travelled_m[:key] > BACK_M + REACH_M)
-        known = np.union1d(old, np.flatnonzero(passed))
-        looks, submaps, self._submaps = [], self._submaps, {}
-        for anchor in self._likeliest(key, old, sigma_m, appearance(found)):
-            window = self._window(key, anchor, float(sigma_m[anchor]), float(sigma_rad[anchor]))
-            if window is not None:
-                around = known[np.abs(travelled_m[known] - travelled_m[anchor]) < _HALF_M + BACK_M + REACH_M]
-                place = anchor, range_m
-                cells = submaps.get(place) or self._submap(anchor, old, travelled_m, range_m)
-                self._submaps[place] = cells
-                looks.append(Look(cells, window, self._graph.poses[anchor], OldPass(self._graph, around)))
-        back = followed_back(travelled_m, key)
-        return best_place(self._graph, back, thinned(found), looks, self._config.min_score)
 
-    def _describe(self, past: int, travelled_m: Array) -> None:
-        """Keep what places look like whose submaps are complete without keyframes from `past` on."""
-        while past:
-            anchor = int(np.searchsorted(travelled_m[:past], self._next_m))
-            if anchor == past or travelled_m[anchor] + _HALF_M >= travelled_m[past]:
-                return
-            keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < _HALF_M)
-            at = between(self._graph.poses[anchor], self._graph.poses[keys])
-            self._anchors.append(anchor)
-            self._looks.append(appearance(_surfaces(self._graph, keys, at, _RECENT_VOXEL_M)[0]))
-            self._next_m = float(travelled_m[anchor]) + _ANCHORS_APART_M
+def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
+    """Keyframes that are followed back from `key`, the newest first; `travelled_m` (K,) is at each keyframe."""
+    keys = np.flatnonzero(travelled_m[: key + 1] >= travelled_m[key] - BACK_M - _EVERY_M)
+    steps = np.floor((travelled_m[key] - travelled_m[keys]) / _EVERY_M)
+    back = keys[(np.diff(steps, append=-1.0) < 0.0) & (steps <= BACK_M / _EVERY_M)][::-1]
+    return np.asarray(back, dtype=np.int64)
 
-    def _likeliest(self, key: int, old: NDArray[np.int64], sigma_m: Array, look: Array) -> list[int]:
-        """Anchors of places that look most like `look` (BINS,) does, and that the keyframe is likely near."""
-        rows = np.flatnonzero(np.isin(self._anchors, old))
-        if not len(rows):
+
+def evidence_of(
+    scans: PlacedScans, keys: NDArray[np.int64], places: Array, known: Sequence[Surroundings]
+) -> list[Evidence]:
+    """What the scans `keys` say of each of the places (m, 3), poses of the first one in the frame of what is `known`.
+
+    A place that explains clearly less than another one is not followed further back.
+    """
+    poses, at, before = scans.poses, np.array(places, dtype=np.float64), int(keys[0])
+    shares, newest = np.full((len(at), len(keys)), np.nan), at.copy()
+    open_places = np.arange(len(at))
+    for n, key in enumerate(keys.tolist()):
+        moved = between(poses[before], poses[key])
+        most_m = WIDE_GATE_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
+        for k in open_places.tolist():
+            shares[k, n], at[k] = _compared(scans, key, compose(at[k], moved), known[k], most_m)
+        if n == 0:
+            newest = at.copy()
+        best = shares[open_places[np.argmax(np.nansum(shares[open_places] - 0.5, axis=1))]]
+        off = best - shares[open_places]
+        tells = np.isfinite(off).sum(axis=1) >= _LEAST_SCANS
+        open_places = open_places[~(tells & (np.nansum(off, axis=1) >= _CLEARLY))]
+        before = key
+    return [Evidence(pose, row) for pose, row in zip(newest, shares, strict=True)]
+
+
+def _compared(scans: PlacedScans, key: int, at: Array, known: Surroundings, most_m: float) -> tuple[float, Array]:
+    """The share that a scan at a pose and those around it explain, and its pose as aligned with them."""
+    targets = known.partners(key, at, _PARTNERS)
+    if not len(targets):
+        return np.nan, at
+    poses, returns = scans.poses, scans.store.returns
+    off = between(poses[targets], at)
+    aligned = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
+    shift = between(off, aligned.poses)
+    is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
+    is_near &= aligned.sums[:, HITS] >= LEAST_HITS
+    total, best, there = np.zeros(3), 0.0, at
+    for k, target in enumerate(targets.tolist()):
+        pair = aligned.poses[k] if is_near[k] else off[k]
+        found = explained(returns, target, key, pair) + explained(returns, key, target, inverse(pair))
+        total += found
+        if is_near[k] and found[0] > best:
+            best, there = found[0], compose(poses[target], pair)
+    share = float(total[0] / total[1]) if total[1] >= max(SEEN_SHARE * total[2], 1.0) else np.nan
+    return share, there
+
+
+class Verified(NamedTuple):
+    """A place that pairs of scans agree about."""
+
+    pose: Array
+    """(3,) of the newest scan"""
+    links: list[tuple[Alignments, int]]
+    """the alignments and their good rows"""
+
+
+def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hypothesis) -> Verified | None:
+    """Align the scans `recent`, moved with `key` to the hypothesis, with what is known around it.
+
+    None if too few pairs align, or if they do not agree.
+    """
+    moved = compose(found.pose, between(scans.poses[key], scans.poses[recent]))
+    targets, sources, starts = _pairs(scans, found, recent, moved)
+    poses = scans.poses
+    aligned = align_pairs(scans.store.returns, targets, sources, starts, WIDE_GATE_M)
+    # A robot that comes the other way sees little of what an old scan saw: pairs are judged by that alone.
+    tell = aligned.tell()
+    good = aligned.agree(AGREEMENT, scans.usual_agreement, least_seen=0.0) & tell
+    least = max(_LEAST_GOOD, _GOOD_SHARE * np.count_nonzero(tell))
+    if np.count_nonzero(good) < least:
+        return None
+    said = compose(compose(poses[targets], aligned.poses), between(poses[sources], poses[key]))
+    said[:, 2] = found.pose[2] + wrap_angle(said[:, 2] - found.pose[2])  # headings on both sides of half a turn
+    middle = np.median(said[good], axis=0)
+    good &= NEAR.same(said - middle)
+    rows = np.flatnonzero(good)
+    if len(rows) < least or len(set(sources[rows].tolist())) < 2:
+        return None
+    return Verified(middle, [(aligned, int(k)) for k in rows])
+
+
+def vote_for(scans: PlacedScans, key: int, travelled_m: Array, found: Hypothesis) -> Vote | None:
+    """A vote for a place of scan `key`, if those of the last metres agree about it; `travelled_m` (K,) is at each."""
+    good = verified(scans, key, of_last_metres(travelled_m, key), found)
+    return None if good is None else Vote(key, good.pose, float(travelled_m[key]), good.links)
+
+
+def _pairs(
+    scans: PlacedScans, found: Hypothesis, recent: NDArray[np.int64], moved: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent scan is used."""
+    pairs = [
+        (target, int(recent[k]), k)
+        for k in range(len(recent) - 1, -1, -2)
+        for target in found.known.partners(int(recent[k]), moved[k], NEAREST).tolist()
+    ]
+    targets, sources, rows = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
+    old = ~np.isin(targets, recent)
+    return targets[old], sources[old], between(scans.poses[targets[old]], moved[rows[old]])
+
+
+class Vote(NamedTuple):
+    """A place that was verified."""
+
+    key: int
+    pose: Array
+    """(3,) of that scan, in the frame of what is known"""
+    travelled_m: float
+    links: list[tuple[Alignments, int]]
+
+
+class Votes:
+    """The votes of the last metres."""
+
+    def __init__(self, scans: PlacedScans) -> None:
+        self._scans = scans
+        self._votes: list[Vote] = []
+
+    def agreeing(self, vote: Vote) -> list[Vote]:
+        """Count a vote: those that say the same, if they are far enough apart and more than half; otherwise none."""
+        lasting = [each for each in self._votes if vote.travelled_m - each.travelled_m < _LASTS_M]
+        self._votes = [*lasting, vote]
+        agreeing = [each for each in self._votes if self._agree(each, vote)]
+        span = vote.travelled_m - agreeing[0].travelled_m
+        if span < NEW_M or 2 * len(agreeing) <= len(self._votes):
             return []
-        anchors = np.array(self._anchors)[rows]
-        alike = np.array([self._looks[k] for k in rows.tolist()]) @ look
-        off = self._graph.poses[anchors, :2] - self._graph.poses[key, :2]
-        square = (off**2).sum(axis=1) / (sigma_m[anchors] ** 2 + REACH_M**2)
-        score = (alike - alike.mean()) / max(float(alike.std()), 1e-3)
-        score -= 0.5 * (_FREEDOM + 2.0) * np.log1p(square / _FREEDOM)
-        chosen: list[int] = []
-        for anchor in anchors[np.argsort(-score, kind="stable")].tolist():
-            gap = self._graph.poses[chosen, :2] - self._graph.poses[anchor, :2]
-            if len(chosen) < _CANDIDATES and (np.hypot(gap[:, 0], gap[:, 1]) > _CANDIDATES_APART_M).all():
-                chosen.append(anchor)
-        return chosen
+        self._votes = []
+        return agreeing
 
-    def _window(self, key: int, anchor: int, sigma_m: float, sigma_rad: float) -> Window | None:
-        """Where in the submap around an anchor the keyframe may be; None if it is nowhere there."""
-        middle = between(self._graph.poses[anchor], self._graph.poses[key])
-        half_m = SIGMAS * sigma_m + _MARGIN_M
-        low, high = np.maximum(middle[:2] - half_m, -_HALF_M), np.minimum(middle[:2] + half_m, _HALF_M)
-        if (low > high).any():
-            return None
-        half_rad = min(SIGMAS * sigma_rad + _MARGIN_RAD, math.pi)
-        return Window(np.array([*(0.5 * (low + high)), middle[2]]), 0.5 * float((high - low).max()), half_rad)
-
-    def _submap(self, anchor: int, old: NDArray[np.int64], travelled_m: Array, range_m: float) -> Pyramid:
-        """The submap around an anchor, of one pass: what can be seen on the last metres to any of its poses.
-
-        A robot that comes the other way sees what lay behind it.
-        """
-        poses = self._graph.poses
-        keys = np.flatnonzero(np.abs(travelled_m[: old[-1] + 1] - travelled_m[anchor]) < _HALF_M + _RECENT_M)
-        at = between(poses[anchor], poses[keys])
-        return pyramid(submap_points(self._graph.store.returns, keys, at, VOXEL_M, range_m))
+    def _agree(self, one: Vote, newest: Vote) -> bool:
+        """Whether two votes say the same of the newest scan's pose."""
+        poses = self._scans.poses
+        said = compose(one.pose, between(poses[one.key], poses[newest.key]))
+        return bool(NEAR.same(between(said, newest.pose)))

@@ -1,8 +1,15 @@
-"""Submaps to match scans with, and all places of points in one by branch and bound.
+"""Submaps to match scans with, all places of points in one by branch and bound, and what places look like.
 
-Hess, Kohler, Rapp and Andor, "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, search for the best one alone. What
-is bounded here is the least score that is asked for, so that the places that look alike are found together. One level
-of blocks is enough: their bounds are sums of contiguous bytes, and below the best of them most need no closer look.
+Hess, Kohler, Rapp and Andor, "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, search for the best place alone.
+What is bounded here is the least score that is asked for, so that the places that look alike are found together. One
+level of blocks is enough: their bounds are sums of contiguous bytes, and below the best of them most need no closer
+look.
+
+What a place looks like, whatever pose it is seen from, is how often two points of it are so far and so turned apart.
+Pairs of surface points are counted by their distance, by the angle between their normals and by those of both normals
+with the line from one to the other, as in point pair features (Drost, Ulrich, Navab and Ilic, "Model globally, match
+locally", CVPR 2010) and shape distributions (Osada, Funkhouser, Chazelle and Dobkin, ACM TOG 21(4), 2002). A shift or a
+turn leaves the counts as they are, and neighbouring poses see much the same pairs.
 """
 
 from __future__ import annotations
@@ -65,7 +72,15 @@ def pyramid(points: Array) -> Pyramid:
 
 @numba.njit(cache=True, error_model="numpy")
 def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: float, range_m: float) -> Array:
-    seen = np.zeros((2 * _HALF_CELLS, 2 * _HALF_CELLS), np.bool_)
+    reach = 0.0
+    for k in range(len(keys)):
+        for i in range(bearings_at(returns, keys[k]).beams):
+            r = float(returns.points[keys[k], i, 2])
+            if reach < r <= range_m:
+                reach = r
+    apart = 0.0 if len(poses) == 0 else float(np.abs(poses[:, :2]).max())
+    half = min(int((apart + reach) / voxel_m) + 2, _HALF_CELLS)
+    seen = np.zeros((2 * half, 2 * half), np.bool_)
     out, n = np.empty((len(keys) * returns.points.shape[1], 4)), 0
     for k in range(len(keys)):
         c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
@@ -74,8 +89,8 @@ def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: 
             if r == 0.0 or r > range_m:
                 continue
             x, y = poses[k, 0] + c * px - s * py, poses[k, 1] + s * px + c * py
-            column, row = int(np.floor(x / voxel_m)) + _HALF_CELLS, int(np.floor(y / voxel_m)) + _HALF_CELLS
-            if not (0 <= column < 2 * _HALF_CELLS and 0 <= row < 2 * _HALF_CELLS) or seen[column, row]:
+            column, row = int(np.floor(x / voxel_m)) + half, int(np.floor(y / voxel_m)) + half
+            if not (0 <= column < 2 * half and 0 <= row < 2 * half) or seen[column, row]:
                 continue
             seen[column, row] = True
             nx, ny = returns.normals[keys[k], i, 0], returns.normals[keys[k], i, 1]
@@ -310,3 +325,45 @@ def _cells(pyramid: Pyramid, points: Array, window: Window, turns: int) -> tuple
             # The floor, not the nearest cell: whole shifts must keep the bounds valid.
             columns[a, k], rows[a, k] = math.floor(x / CELL_M), math.floor(y / CELL_M)
     return columns, rows
+
+
+_BIN_M, _NEAR_BINS, _FAR_BINS = 0.75, 16, 8  # width of bins of distance up to 12 m; those beyond are twice as wide
+_ANGLES = 3  # bins of the angle between normals, and of both with the line between the points
+_ALIKE, _ACROSS = (0.5, 0.87), (0.5, 1.2)  # edges of these: of the cosine, and of the sum of two cosines
+_MOST_PAIRED = 250  # points whose pairs are counted
+BINS = (_NEAR_BINS + _FAR_BINS) * _ANGLES**2
+
+
+def appearance(surfaces: Array) -> Array:
+    """(BINS,) unit vector of points with normals (N, 4), x, y and the normal's; the product of two is 1 if alike."""
+    rows = np.linspace(0, len(surfaces) - 1, min(len(surfaces), _MOST_PAIRED)).astype(np.int64)
+    counts = _pair_counts(np.ascontiguousarray(surfaces[rows]))
+    return np.asarray(np.sqrt(counts / max(float(counts.sum()), 1.0)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _pair_counts(surfaces: Array) -> Array:
+    """(BINS,) how many pairs of points there are of each kind; a point without a normal is in none."""
+    counts = np.zeros(BINS)
+    for i in range(len(surfaces)):
+        x, y, nx, ny = surfaces[i]
+        if nx == 0.0 and ny == 0.0:
+            continue
+        for j in range(i):
+            mx, my = surfaces[j, 2], surfaces[j, 3]
+            if mx == 0.0 and my == 0.0:
+                continue
+            dx, dy = surfaces[j, 0] - x, surfaces[j, 1] - y
+            distance = math.hypot(dx, dy)
+            along = (abs(nx * dx + ny * dy) + abs(mx * dx + my * dy)) / max(distance, 1e-9)
+            k = int(distance / _BIN_M)
+            if k >= _NEAR_BINS:
+                k = min(_NEAR_BINS + (k - _NEAR_BINS) // 2, _NEAR_BINS + _FAR_BINS - 1)
+            k = _ANGLES * k + _bin(abs(nx * mx + ny * my), _ALIKE)
+            counts[_ANGLES * k + _bin(along, _ACROSS)] += 1.0
+    return counts
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _bin(value: float, edges: tuple[float, float]) -> int:
+    return int(value >= edges[0]) + int(value >= edges[1])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.slam.scans.appearance import BINS, appearance
+from sixthsense.slam.scans.places import BINS, appearance
 
 
 def place(seed, walls=9, points=30):

@@ -51,7 +51,7 @@ def test_a_beam_into_what_was_not_seen_shows_nothing():
 
 def test_a_scan_of_a_half_circle_aligns_with_a_view():
     true, views = Pose(0.7, -1.2, 2.2), MapViews(MAP, GridConfig(cell_m=CELL_M), scan_at(Pose(), laser=HALF))
-    scan = views.add(scan_at(true, laser=HALF, rng=np.random.default_rng(1)), Pose(5.0, 5.0, 1.0))
+    scan = views.add(scan_at(true, laser=HALF, rng=np.random.default_rng(1)), Pose(5.0, 5.0, 1.0), 0.0)
     rough = true.array() + np.array([0.1, -0.08, 0.06])
     (target,) = views.partners(scan, rough, 1)
     start = rough - views.poses[target]

@@ -10,13 +10,12 @@ from test_front_end import drive, ticks
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.se2 import between
-from sixthsense.slam.scans import verification
-from sixthsense.slam.scans.evidence import Evidence, OldPass, evidence_of, followed_back
+from sixthsense.slam.scans import place_search
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import align_pairs
-from sixthsense.slam.scans.place_search import Hypothesis
+from sixthsense.slam.scans.loop_closures import OldPass
+from sixthsense.slam.scans.place_search import Evidence, Hypothesis, evidence_of, followed_back, verified
 from sixthsense.slam.scans.returns import bearings_at
-from sixthsense.slam.scans.verification import verified
 from sixthsense.slam.scans.visibility import explained
 from sixthsense.slam.slam import Slam
 
@@ -108,7 +107,7 @@ def test_headings_on_both_sides_of_half_a_turn_agree(monkeypatch):
         aligned.poses[:, 2] = np.where(np.arange(len(aligned.poses)) % 2, math.pi - 1e-4, 1e-4 - math.pi)
         return aligned
 
-    monkeypatch.setattr(verification, "align_pairs", split)
+    monkeypatch.setattr(place_search, "align_pairs", split)
     hypothesis = Hypothesis(graph.poses[-1], OldPass(graph, np.arange(len(old))), False)
     place = verified(graph, graph.count - 1, np.arange(graph.count - 4, graph.count), hypothesis)
     assert place is not None and len(place.links) == 6
