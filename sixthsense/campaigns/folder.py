@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FILE = "campaign.toml"
-TEXTS = ("config_hash", *AXES, "front_end", "task", "host", "version", "outcome", "error")
+TEXTS = ("config_hash", *AXES, "front_end", "task", "host", "version", "outcome", "verdict", "error")
 """text columns of every row; `error` is filled only for a failed run, which has no metrics"""
 
 ORDER = (*AXES, "seed")

@@ -18,7 +18,7 @@ from sixthsense.core.interrupt import command_signals
 if TYPE_CHECKING:
     from sixthsense.cli.options import Options
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_INPUT, DOUBTFUL, BROKEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
 EXIT_CODES = {
     "goal reached": DONE,
     "tour ended": DONE,
@@ -30,6 +30,9 @@ EXIT_CODES = {
     "interrupted": INTERRUPTED,
 }
 """exit codes of a run's outcomes; every other outcome is a failure of the robot"""
+
+EXIT_CODES_OF_MAPS = {"good": DONE, "doubtful": DOUBTFUL, "broken": BROKEN}
+"""exit codes of a run that ends well, by the verdict on its map, where that is asked for"""
 
 COMMANDS = {
     "run": ("runs", "[SCENE]", "simulate a robot that explores or drives to goals"),
@@ -58,7 +61,8 @@ commands:
 {commands}
 
 `sixthsense COMMAND --help` lists a command's options, `sixthsense --version`
-tells the version. Exit codes: 0 done, 1 robot failed, 2 bad input, 130 Ctrl-C.
+tells the version. Exit codes: 0 done, 1 robot failed, 2 bad input, 130 Ctrl-C;
+with --strict 3 map doubtful, 4 map broken.
 """
 
 
@@ -71,7 +75,8 @@ def usage() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code.
 
-    0: done; 1: the robot failed; 2: bad input; 130, 143, 129: ended by Ctrl-C, SIGTERM, SIGHUP.
+    0: done; 1: the robot failed; 2: bad input; 3, 4: the map is doubtful, broken, where that is asked for; 130, 143,
+    129: ended by Ctrl-C, SIGTERM, SIGHUP.
     """
     args = list(sys.argv[1:] if argv is None else argv)
     with contextlib.suppress(OSError):  # of a folder that is gone

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
-from sixthsense.cli import EXIT_CODES, FAILED
+from sixthsense.cli import DONE, EXIT_CODES, EXIT_CODES_OF_MAPS, FAILED
 from sixthsense.cli.options import (
     OptionalValue,
     Options,
@@ -83,6 +83,8 @@ class Common(WithSettings):
     """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install -e '.[view]'."""
     verbose: bool = False
     """Print all metrics at the end."""
+    strict: bool = False
+    """End with exit code 3 if the map is doubtful, with 4 if it is broken."""
 
 
 @dataclass(frozen=True)
@@ -196,14 +198,15 @@ def announce(line: str) -> None:
     print(as_options(line), file=sys.stderr)
 
 
-def show_end(run: Run, verbose: bool = False) -> int:
+def show_end(run: Run, options: Common) -> int:
     """Print what a run has come to, in at most ten lines, and before it all metrics if wanted; returns the exit code.
 
-    The places that an exploration has left unseen are listed with the metrics.
+    The places that an exploration has left unseen are listed with the metrics. If it is strict, a run whose map is
+    doubtful or broken has an exit code of its own where it would have ended well.
     """
     from sixthsense.evaluation.summary import run_summary
 
-    if verbose:
+    if options.verbose:
         print(run.metrics)
         for place in run.trace.left:
             print(f"left unseen: {_described(place)}")
@@ -211,7 +214,10 @@ def show_end(run: Run, verbose: bool = False) -> int:
     for label, text in (run_summary(run.metrics) | dict(_left(run)) | dict(_files(run))).items():
         print(f"{label:12} {text}")
     print(f"written to {run.folder}/")
-    return EXIT_CODES.get(run.outcome, FAILED)
+    code = EXIT_CODES.get(run.outcome, FAILED)
+    if options.strict and code == DONE and run.verdict is not None:
+        return EXIT_CODES_OF_MAPS[run.verdict.level]
+    return code
 
 
 def _left(run: Run) -> Iterator[tuple[str, str]]:
@@ -228,7 +234,7 @@ def _files(run: Run) -> Iterator[tuple[str, str]]:
         return
     found = [name for name in ("figures/map.png", "map.yaml") if (run.folder / name).exists()]
     if found:
-        yield "map", ", ".join(str(run.folder / name) for name in found)
+        yield "files", ", ".join(str(run.folder / name) for name in found)
     yield "report", f"sixthsense report {shlex.quote(str(run.folder))} writes figures/report.html"
 
 

@@ -106,7 +106,7 @@ class Live(OnNetwork, WithPriorMap):
                     run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
                     for line in session.notices.summary():
                         announce(line)
-                    code = show_end(run, options.verbose)
+                    code = show_end(run, options)
                     if run.outcome != RESET:
                         return code
                     prior = None  # a new map was asked for

@@ -49,7 +49,7 @@ class Run(WithPriorMap, OfScene):
             live_view(options) as hooks,
         ):
             watch = RunHooks(hooks, realtime=options.realtime, say=announce)
-            return show_end(simulate(config, task, folder, watch, prior), options.verbose)
+            return show_end(simulate(config, task, folder, watch, prior), options)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Replay(WithPriorMap):
             announce(f"note: {found.name}: {note}")
         stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
         with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
-            return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), options.verbose)
+            return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), options)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Merge(Common):
         for note in merged.notes:
             announce(f"note: {note}")
         with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
-            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), options.verbose)
+            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), options)
 
 
 def _base(runs: tuple[str, ...] | None) -> str | Config:

@@ -37,6 +37,8 @@ def measure(trace: Trace) -> Metrics:
     out |= _consistency(trace)
     out |= _relations(trace)
     out |= _evidence(trace)
+    if trace.verdict is not None:
+        out["verdict"], out["map_wrong_probability"] = str(trace.verdict), trace.verdict.probability
     if trace.config.front_end == "landmarks":
         out["landmarks"] = len(trace.records)
         out["landmarks_culled"] = trace.culled

@@ -15,9 +15,10 @@ from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import curves, key_distances, key_poses, key_times
 from sixthsense.evaluation.groups import Sample
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.results import Metrics
+from sixthsense.evaluation.results import TEXTS, Metrics
 from sixthsense.record.load import RecordPart, load_record
 from sixthsense.record.trace import Trace
+from sixthsense.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,6 +65,11 @@ class MeasuredRun:
         if self.trace.outcome:
             self._metrics = measured
         return Metrics(measured)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the map is right, and what speaks against it; None while the run goes on, and of a killed run."""
+        return self.trace.verdict
 
     @property
     def trajectory(self) -> Trajectory:
@@ -127,8 +133,8 @@ def _read_metrics(file: Path) -> Metrics:
     if not isinstance(metrics, dict):
         raise InputError(file, "found no table", "a run's metrics")
     for key, value in metrics.items():
-        if not isinstance(value, str if key == "outcome" else (int, float)):
-            kind = "text" if key == "outcome" else "a number"
+        if not isinstance(value, str if key in TEXTS else (int, float)):
+            kind = "text" if key in TEXTS else "a number"
             raise InputError(file, f"{shown_name(key)}: found {shown(value)}", kind)
         if isinstance(value, int) and value.bit_length() > 1000:  # beyond the range of a float
             raise InputError(file, f"{shown_name(key)}: found {shown(value)}", "a number")

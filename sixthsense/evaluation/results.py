@@ -28,6 +28,9 @@ class Quantity:
     """one short phrase"""
 
 
+TEXTS = ("outcome", "verdict")
+"""keys whose values are texts"""
+
 _REMARKS = {
     "plans_below_margin": "usual: doors leave less room than the margin",
     "loop_closures_refused": "usual: places that look alike",
@@ -38,6 +41,8 @@ _REMARKS = {
 _GROUPS = {
     "Outcome": (
         ("outcome", "", "why the run ended"),
+        ("verdict", "", "whether the map is right, judged without truth, and what speaks against it"),
+        ("map_wrong_probability", "1", "probability that the map is wrong, judged without truth"),
         ("collisions", "1", "number of collisions with walls"),
         ("touches_by_robot", "1", "touches of a person by the robot's fault: it moved in faster than the person"),
         ("touches_by_walkers", "1", "touches of the robot by a person's fault"),
@@ -129,8 +134,8 @@ QUANTITIES = {key: Quantity(group, unit, meaning) for group, rows in _GROUPS.ite
 class Metrics(dict[str, Any]):
     """The metrics of a run by the keys of `metrics.json`, without keys for what was not measured.
 
-    Values are numbers, except for `outcome`. The dictionary prints as a table with units. `QUANTITIES` has the meaning
-    of each key.
+    Values are numbers, except for `outcome` and `verdict`. The dictionary prints as a table with units. `QUANTITIES`
+    has the meaning of each key.
     """
 
     def __missing__(self, key: str) -> Any:

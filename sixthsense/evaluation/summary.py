@@ -104,9 +104,10 @@ def run_summary(metrics: Mapping[str, Any]) -> dict[str, str]:
     """
     parts = {
         "outcome": "; ".join(_outcome(metrics)),
+        "map": str(metrics.get("verdict", "")),
         "scans": "" if "ate_rmse_m" in metrics else "; ".join(_scans(metrics)),
         "driven": ", ".join(_driven(metrics)),
-        "accuracy": "; ".join(_accuracy(metrics)) or "not measured: no truth, no relations",
+        "accuracy": "; ".join(_accuracy(metrics)) or _unmeasured(metrics),
         "consistency": _consistency(metrics),
         "speed": "; ".join(_speed(metrics)),
     }
@@ -146,6 +147,13 @@ def _accuracy(metrics: Mapping[str, Any]) -> Iterator[str]:
     if "relations_trans_m_mean" in metrics:
         mean, turn = _length(metrics["relations_trans_m_mean"]), metrics["relations_rot_deg_mean"]
         yield f"error against the relations {mean} and {turn:.2g}° on average"
+
+
+def _unmeasured(metrics: Mapping[str, Any]) -> str:
+    """What is said of the accuracy where nothing measures it."""
+    if "map_wrong_probability" in metrics:
+        return f"no truth; the map is wrong with probability {metrics['map_wrong_probability']:.2g}"
+    return "not measured: no truth, no relations"
 
 
 def _consistency(metrics: Mapping[str, Any]) -> str:

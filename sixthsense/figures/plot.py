@@ -30,8 +30,11 @@ WALL_FOUND = "#CC79A7"
 OBSERVATION = "#56B4E9"
 SEEN = "#D3E9F7"
 WALKER = "#882255"
+DOUBT = "#CC0000"
 CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, OBSERVATION, TRUTH)
 """Colours of numbered items such as runs and partitions."""
+
+_MOST_CAUSES = 5  # marked on a map
 
 CHI2_95 = 5.991  # 2 degrees of freedom
 
@@ -212,8 +215,18 @@ def draw_map(ax: Any, trace: Trace) -> None:
         style = {"color": ESTIMATE, "markersize": 7, "markeredgewidth": 1.6, "linestyle": "none", "zorder": 7}
         ax.plot(*estimates[0, :2], marker="o", markerfacecolor="white", label="start", **style)
         ax.plot(*estimates[-1, :2], marker="s", label="end", **style)
+    _draw_causes(ax, trace)
     label_plane(ax)
     _frame(ax, [estimates[:, :2], landmarks, *(() if trace.scene is None else trace.scene.walls)])
+
+
+def _draw_causes(ax: Any, trace: Trace) -> None:
+    """Mark the places where something speaks against the map."""
+    causes = [] if trace.verdict is None else [cause for cause in trace.verdict.causes if len(cause.places)]
+    for k, cause in enumerate(causes[:_MOST_CAUSES]):
+        style = {"color": DOUBT, "linestyle": "none", "marker": "ospD^"[k], "zorder": 8}
+        label = f"{cause.name}, {cause.from_s:.0f} s"
+        ax.plot(*cause.places.T, label=label, markersize=13, markerfacecolor="none", markeredgewidth=1.6, **style)
 
 
 def _as_path(poses: ArrayLike, trace: Trace) -> Array:

@@ -151,6 +151,9 @@ def _outcome(label: str, run: MeasuredRun) -> str:
     line = f'<p class="outcome">{name}<strong>{escaped(run.outcome)}</strong></p>'
     if run.folder is not None and not (run.folder / "metrics.json").is_file():
         line += f'\n<p class="note">{name}the run was stopped before its end. The page shows the record up to then.</p>'
+    if run.verdict is not None:
+        kind = "quiet" if run.verdict.level == "good" else "note"
+        line += f'\n<p class="{kind}">{name}map {escaped(run.verdict)}</p>'
     if run.missing:
         line += f'\n<p class="note">{name}the folder has no record of {escaped("; ".join(run.missing))}.</p>'
     return line

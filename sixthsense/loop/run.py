@@ -22,6 +22,7 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Live, Stopwatch, Trace
+from sixthsense.record.witnesses import witnesses_of
 from sixthsense.slam.prior_map import PriorStart, check_usable
 from sixthsense.slam.result import Step
 from sixthsense.slam.slam import Slam
@@ -29,6 +30,7 @@ from sixthsense.sources.logs.log import Log, Relations, RewindableSource
 from sixthsense.sources.mission import Mission, mission_of
 from sixthsense.sources.replay_input import recorded_scene
 from sixthsense.sources.scene import Scene
+from sixthsense.verdict.judge import judge
 
 OnTick = Callable[[Tick, Trace], None]
 """Hook of a caller: called after every tick with it and the record so far."""
@@ -96,17 +98,21 @@ class Recorder:
         trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
         trace.live = Live(slam.estimator, slam.associator.records, slam.draw_map, slam.mapper)
         self._began = time.perf_counter()
+        self._is_measured = not trace.config.no_odometry
 
     def __call__(self, tick: Tick, step: Step, command: Command) -> None:
         """Record one tick."""
         trace, keyframe = self._trace, step.keyframe
         trace.stopwatch.end_tick(keyframe is not None)
+        is_carried = step.increment is not None and step.increment.is_carried()
+        self._is_measured &= not (tick.is_unmeasured or is_carried)
         assert trace.live is not None
         trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since.cov
         if keyframe is not None:
             trace.live.features = keyframe.features
-            trace.add_keyframe(tick, keyframe)
-        trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
+            trace.add_keyframe(tick, keyframe, step.scan, self._is_measured)
+            self._is_measured = not trace.config.no_odometry
+        trace.add_tick(tick, step.dead_reckoned, is_carried)
         if tick.scan is not None or tick.observations is not None:
             trace.add_scan(tick, step)
 
@@ -133,6 +139,7 @@ class Recorder:
             trace.sensor = result.sensor.with_sigmas()
         if result.since_key is not None:
             trace.since_key = list(result.since_key)
+        trace.verdict = judge(witnesses_of(trace))
 
 
 def run(

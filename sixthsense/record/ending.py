@@ -21,6 +21,7 @@ from sixthsense.record.factors import factor_graph, links_of, write_graph
 from sixthsense.record.reading import checked
 from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
+from sixthsense.record.verdict_file import write_verdict
 from sixthsense.record.writing import whole
 from sixthsense.slam.association.records import MeanShape, Record
 from sixthsense.slam.estimators import Estimate
@@ -30,7 +31,7 @@ from sixthsense.sources.logs.log import Relations
 
 _COUNTS = {"kinds": "kind", "observations": "observations", "first_scans": "first_scan", "last_scans": "last_scan"}
 """fields of a landmark's record by the names of their arrays"""
-END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
+END_FILE, LANDMARKS_FILE, GRID_FILE, VERDICT_FILE = "record.npz", "landmarks.npz", "grid.npz", "verdict.json"
 
 
 def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None:
@@ -48,6 +49,8 @@ def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None
         write_map(folder, grid.occupancy(), grid.origin, trace.config.grid.cell_m)
     if trace.outcome.startswith("explored"):
         write_places_left(folder / "places_left.csv", trace)
+    if trace.verdict is not None:
+        write_verdict(folder / VERDICT_FILE, trace.verdict)
     with whole(folder / "metrics.json") as file:
         file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
     write_end(folder, trace)

@@ -19,6 +19,7 @@ from sixthsense.record.ending import (
     END_FILE,
     GRID_FILE,
     LANDMARKS_FILE,
+    VERDICT_FILE,
     read_arrays,
     read_grid,
     read_landmarks,
@@ -27,6 +28,7 @@ from sixthsense.record.ending import (
 from sixthsense.record.reading import read_stream
 from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
+from sixthsense.record.verdict_file import read_verdict
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
 from sixthsense.slam.prior_map import PriorMap, PriorStart
@@ -60,6 +62,8 @@ def load_record(folder: Path | str) -> tuple[Trace, tuple[RecordPart, ...]]:
     trace.prior_map = prior_map_of(folder / "config.toml")
     trace.name = absolute(folder).name.removesuffix(".partial")
     missing |= _read_end(folder, trace)
+    if (folder / VERDICT_FILE).exists():
+        trace.verdict = read_verdict(folder / VERDICT_FILE)
     if (folder / GRID_FILE).exists():
         trace.grid = read_grid(folder / GRID_FILE, config, trace.radius_m)
     else:

@@ -28,6 +28,7 @@ from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.result import Step
 from sixthsense.sources.logs.log import Relations
 from sixthsense.sources.scene import Scene
+from sixthsense.verdict.verdict import Verdict
 
 STAGES = (
     "sense",
@@ -157,6 +158,10 @@ class Trace:
     """per keyframe: matches, innovations and discarded observations"""
     walls_found: list[Array] = field(default_factory=list)
     """per keyframe: (W, 2, 2) extracted segments, robot's frame"""
+    key_scans: list[Scan | None] = field(default_factory=list)
+    """per keyframe: its scan, deskewed; not written to the folder"""
+    key_measured: list[bool] = field(default_factory=list)
+    """per keyframe: whether wheels have measured all of the motion to it; not written to the folder"""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     """per keyframe: stage times"""
     outcome: str = ""
@@ -203,6 +208,8 @@ class Trace:
     """the map; while a run goes on, as it was drawn last"""
     prior_map: Mapping[str, Any] | None = None
     """the prior map that the run began with: `name` and `digest`, `pose` if given, `pose_sigma`; None without one"""
+    verdict: Verdict | None = None
+    """whether the map is right, and what speaks against it; None while the run goes on"""
     name: str = ""
     """name of the scene, log or folder"""
     live: Live | None = None
@@ -238,8 +245,8 @@ class Trace:
         self.last_key.append(len(self.key_stamps_ns) - 1)
         self.since_key.append(step.since.motion.array())
 
-    def add_keyframe(self, tick: Tick, keyframe: Keyframe) -> None:
-        """Record a keyframe after its update."""
+    def add_keyframe(self, tick: Tick, keyframe: Keyframe, scan: Scan | None, is_measured: bool) -> None:
+        """Record a keyframe after its update; `scan` is its own, and `is_measured` whether wheels measured the way."""
         self.key_odometry.append(keyframe.motion)
         self.key_stamps_ns.append(tick.stamp_ns)
         self.key_predicted.append(Estimate.of_pose(keyframe.predicted.pose, keyframe.predicted.pose_cov))
@@ -248,6 +255,8 @@ class Trace:
             self.key_truths.append(tick.truth.array())
         self.associations.append(keyframe.association)
         self.walls_found.append(keyframe.features.walls)
+        self.key_scans.append(scan)
+        self.key_measured.append(is_measured)
 
     def carried_scans(self) -> list[int]:
         """Indices of the scans before which the robot was carried: no path leads there."""

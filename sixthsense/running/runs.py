@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -163,8 +164,14 @@ def _keep(folder: RunFolder, run: Run, say: Callable[[str], object]) -> None:
     folder.write(run.trace, run.metrics)
     picture = folder.partial / "figures" / "map.png"
     try:
-        save_map(run, picture, run.title)
+        save_map(run, picture, _map_title(run))
     except MemoryError:
         picture.unlink(missing_ok=True)
         say(f"note: out of memory, {folder.out} has no figures/map.png; sixthsense report {folder.out} draws it")
     folder.finish()
+
+
+def _map_title(run: Run) -> str:
+    """The run's title, and below it what speaks against its map."""
+    is_good = run.verdict is None or run.verdict.level == "good"
+    return run.title if is_good else "\n".join([run.title, *textwrap.wrap(str(run.verdict), 110)])

@@ -14,7 +14,7 @@ from settings import TOGETHER, changed, flat, nested, words
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.cli.common import show_end
+from sixthsense.cli.common import Common, show_end
 from sixthsense.config import PRESETS, Config, load_config, merge, preset, save_config
 from sixthsense.config.errors import InputError
 from sixthsense.figures.report import page
@@ -28,14 +28,27 @@ OUTCOMES = {
 }  # fmt: skip
 
 
+def ended(outcome: str, level: str | None = None) -> Any:
+    verdict = None if level is None else SimpleNamespace(level=level)
+    metrics, trace = {"outcome": outcome, "scans": 3, "keyframes": 2}, SimpleNamespace(left=[])
+    return SimpleNamespace(outcome=outcome, metrics=metrics, trace=trace, folder=Path("a b"), verdict=verdict)
+
+
 @pytest.mark.parametrize("outcome", OUTCOMES)
 def test_the_exit_code_follows_from_the_outcome(outcome: str, capsys: pytest.CaptureFixture[str]) -> None:
-    metrics = {"outcome": outcome, "scans": 3, "keyframes": 2}
-    run = SimpleNamespace(outcome=outcome, metrics=metrics, trace=SimpleNamespace(left=[]), folder=Path("a b"))
-    assert show_end(run) == OUTCOMES[outcome]  # type: ignore[arg-type]
+    assert show_end(ended(outcome), Common()) == OUTCOMES[outcome]
     out = capsys.readouterr().out
     assert out.startswith(f"outcome      {outcome}") and out.endswith("written to a b/\n")
     assert "sixthsense report 'a b' writes" in out
+
+
+@pytest.mark.parametrize(("level", "code"), [("good", 0), ("doubtful", 3), ("broken", 4)])
+def test_a_good_end_with_a_doubtful_or_broken_map_has_an_exit_code_of_its_own_only_where_that_is_asked_for(
+    level: str, code: int
+) -> None:
+    assert show_end(ended("tour ended", level), Common(strict=True)) == code
+    assert show_end(ended("tour ended", level), Common()) == 0
+    assert show_end(ended("stuck", level), Common(strict=True)) == 1
 
 
 class CaughtError(InputError):

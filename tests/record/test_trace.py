@@ -9,6 +9,7 @@ from traces import CONFIG, cov_of, observation_of, pose_of
 from sixthsense.config import merge
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind
+from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.record.trace import Live, Trace
@@ -52,7 +53,8 @@ def test_a_scan_and_its_keyframe_are_added_with_what_was_believed_before_and_aft
     before = Step(5, poses[0], poses[1], None, Odometry(poses[2], cov_of(rng)), None, None, grid)
     trace.add_scan(Tick(5, poses[3], truth=poses[4], walkers=people, touches=(1, 2)), before)
     tick = Tick(9, poses[3], truth=poses[7], walkers=2 * people, touches=(3, 5), log_stamp_s=1.25)
-    trace.add_keyframe(tick, keyframe)
+    scan = Scan(np.array([1.5, np.inf, 2.25], np.float32), np.float32(-0.5), np.float32(0.25), 7.5)
+    trace.add_keyframe(tick, keyframe, scan, is_measured=False)
     trace.add_scan(tick, Step(9, poses[5], poses[6], motion, Odometry(Pose(), cov_of(rng)), None, keyframe, grid))
     assert trace.stamps_ns == [5, 9] and np.array_equal(trace.log_stamps_s, [np.nan, 1.25], equal_nan=True)
     rows = {"estimates": (0, 5), "odometry": (1, 6), "truths": (4, 7)}
@@ -65,6 +67,7 @@ def test_a_scan_and_its_keyframe_are_added_with_what_was_believed_before_and_aft
         assert found_one.pose == expected.pose and np.array_equal(found_one.pose_cov, expected.pose_cov)
     assert trace.key_odometry == [motion] and trace.associations == [found]
     assert np.array_equal(trace.walls_found[0], features.walls)
+    assert trace.key_scans == [scan] and trace.key_measured == [False]
 
 
 def test_no_path_leads_to_a_scan_before_which_the_robot_was_carried(trace: Trace) -> None:

@@ -1,0 +1,188 @@
+"""What has made a map wrong, where the evidence tells it, with time and place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array
+from sixthsense.verdict.evidence import Evidence, share
+from sixthsense.verdict.probability import MIRROR_SIGMAS
+from sixthsense.verdict.verdict import Cause
+from sixthsense.verdict.views import FEWEST, SURFACE
+from sixthsense.verdict.witnesses import Witnesses
+
+_NOWHERE = np.zeros((0, 2))
+_SIGMAS = 4.0  # of a fitted value, beyond which it is not chance
+_OFF_M, _OFF_RAD = 0.1, math.radians(4.0)  # of a mount that is worth a word
+_LAG_S, _LAG_GAIN = 0.25, 0.3
+_SLIP_M, _SLIP_RAD = 0.3, math.radians(10.0)  # of a motion that wheels and trajectory tell apart
+_NEW_SHARE = 0.3  # of the returns of a scan that the scan before contradicts: it is of another place
+_OLD_SHARE = 0.25  # the same of another pass
+_BLIND_M = 2.0  # of travel without a return that is worth a word
+_APART_S = 5.0  # between two events that are told apart
+_FACTOR = 0.1  # by which wheels are wrong that is worth a word
+
+
+def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
+    """The causes, what holds for the whole run first."""
+    whole = [*_mirrored(evidence), *_clocks(evidence), *_mount(evidence)]
+    if any(cause.name == "mirrored" for cause in whole):
+        return tuple(whole[:1])
+    events = [*_carried(evidence, found), *_blind(evidence, found), *_slips(evidence, found)]
+    return (*whole, *events, *_walls(evidence, found), *_untied(evidence, found), *_wheels(evidence))
+
+
+def _mirrored(evidence: Evidence) -> Iterator[Cause]:
+    seen, turns = evidence.mirror, evidence.turns
+    if seen is not None and seen.sigmas > MIRROR_SIGMAS:
+        first, last = seen.first, seen.last
+    elif turns is not None and turns.slope + _SIGMAS * turns.sigma < 0.0:
+        first, last = 0, len(evidence.stamps_s) - 1
+    else:
+        return
+    begin, end = float(evidence.stamps_s[first]), float(evidence.stamps_s[last])
+    told = f"the wheels turn against the scans from {begin:.0f} to {end:.0f} s; is the laser mirrored?"
+    yield Cause("mirrored", told, begin, end, _NOWHERE)
+
+
+def _clocks(evidence: Evidence) -> Iterator[Cause]:
+    late = evidence.lag
+    if late is not None and abs(late.seconds) >= _LAG_S and late.gain >= _LAG_GAIN:
+        word = "later" if late.seconds < 0.0 else "earlier"
+        told = f"the wheels' stamps are {abs(late.seconds):.1f} s {word} than the scans'; are their clocks the same?"
+        yield _whole("clocks", told, evidence)
+
+
+def _mount(evidence: Evidence) -> Iterator[Cause]:
+    mount, turns = evidence.mount, evidence.turns
+    if mount is None or turns is None or turns.correlation < 0.7:
+        return
+    off, sigmas = mount.offset, mount.sigmas
+    parts = []
+    for value, sigma, names in ((off[0], sigmas[0], ("forward", "back")), (off[1], sigmas[1], ("left", "right"))):
+        if abs(value) > max(_OFF_M, _SIGMAS * sigma):
+            parts.append(f"{abs(value):.2f} m farther {names[0] if value > 0.0 else names[1]}")
+    if abs(off[2]) > max(_OFF_RAD, _SIGMAS * sigmas[2]):
+        parts.append(f"turned {math.degrees(abs(off[2])):.0f}° to the {'left' if off[2] > 0.0 else 'right'}")
+    if parts:
+        told = f"by wheels and scans the laser is {' and '.join(parts)} than its mount is stated"
+        yield _whole("mount", told, evidence)
+
+
+def _whole(name: str, told: str, evidence: Evidence) -> Cause:
+    return Cause(name, told, float(evidence.stamps_s[0]), float(evidence.stamps_s[-1]), _NOWHERE)
+
+
+def _events(is_one: NDArray[np.bool_], stamps_s: Array, badness: Array) -> list[int]:
+    """The worst keyframe of each group of them that are close in time, the worst group first."""
+    rows = np.flatnonzero(is_one)
+    if not len(rows):
+        return []
+    groups = np.split(rows, np.flatnonzero(np.diff(stamps_s[rows]) > _APART_S) + 1)
+    worst = [int(group[np.argmax(badness[group])]) for group in groups]
+    return sorted(worst, key=lambda k: -badness[k])
+
+
+def _place(found: Witnesses, k: int) -> str:
+    x, y = found.trajectory[k, :2]
+    return f"({x:.1f}, {y:.1f})"
+
+
+def _carried(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
+    """Scans that contradict the one before: the robot is elsewhere than its wheels say."""
+    new = np.nan_to_num(share(evidence.step))
+    for k in _events(new > _NEW_SHARE, evidence.stamps_s, new)[:3]:
+        at = float(evidence.stamps_s[k])
+        told = (
+            f"the scan at {at:.0f} s, at {_place(found, k)}, does not fit the one before "
+            f"({100 * new[k]:.0f} % of it was seen through); was the robot carried?"
+        )
+        yield Cause("carried", told, at, at, found.trajectory[k : k + 1, :2])
+
+
+def _slips(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
+    off = np.nan_to_num(evidence.wheels.off)
+    way, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+    sigmas = np.nan_to_num(evidence.wheels.sigmas, nan=1.0)
+    beyond = np.maximum(way / np.maximum(_SLIP_M, 5.0 * sigmas[:, 0]), turn / np.maximum(_SLIP_RAD, 5.0 * sigmas[:, 2]))
+    for k in _events(beyond > 1.0, evidence.stamps_s, beyond)[:3]:
+        at = float(evidence.stamps_s[k])
+        told = (
+            f"wheels and scans differ by {way[k]:.1f} m and {math.degrees(turn[k]):.0f}° "
+            f"at {at:.0f} s, at {_place(found, k)}; did the wheels slip?"
+        )
+        yield Cause("slip", told, at, at, found.trajectory[k : k + 1, :2])
+
+
+def _blind(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
+    """Ways without a return, and gaps in the record."""
+    if not found.scans:
+        return
+    is_blind = evidence.returns < FEWEST
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_blind, [False]]).astype(int)))
+    for first, past in zip(edges[::2], edges[1::2], strict=True):
+        begin, end = max(first - 1, 0), min(past, len(is_blind) - 1)
+        yield from _unseen(evidence, found, int(begin), int(end), "nothing was seen for")
+    held = evidence.step[:, SURFACE]
+    gaps = np.flatnonzero((np.diff(evidence.stamps_s, prepend=evidence.stamps_s[:1]) > _APART_S) & (held < FEWEST))
+    for k in gaps[:3]:
+        yield from _unseen(evidence, found, int(k) - 1, int(k), "no scan overlaps with those before for")
+
+
+def _unseen(evidence: Evidence, found: Witnesses, begin: int, end: int, words: str) -> Iterator[Cause]:
+    way_m = evidence.travel[end] - evidence.travel[begin]
+    if way_m > _BLIND_M or words.startswith("no "):
+        at, until = float(evidence.stamps_s[begin]), float(evidence.stamps_s[end])
+        told = f"{words} {until - at:.0f} s and {way_m:.1f} m from {at:.0f} s on, at {_place(found, begin)}"
+        yield Cause("blind", told, at, until, found.trajectory[begin : end + 1, :2])
+
+
+def _walls(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
+    """Two passes of one place that contradict each other."""
+    wrong = np.nan_to_num(share(evidence.old_found.astype(np.float64), least=2.0 * FEWEST))
+    if not (wrong > _OLD_SHARE).any():
+        return
+    one, other = evidence.old_pairs[int(np.argmax(wrong))].tolist()
+    times = f"{evidence.stamps_s[one]:.0f} s and {evidence.stamps_s[other]:.0f} s"
+    places = found.trajectory[np.unique(evidence.old_pairs[wrong > _OLD_SHARE, 1]), :2]
+    where, at = _place(found, other), float(evidence.stamps_s[other])
+    if evidence.closures is not None and evidence.closures.found and _is_linked(found, one, other):
+        told = f"what was seen at {times} at {where} contradicts; were two places alike taken for one?"
+        yield Cause("alike", told, float(evidence.stamps_s[one]), at, places)
+    else:
+        told = f"the walls seen at {times} at {where} do not fit"
+        yield Cause("doubled", told, float(evidence.stamps_s[one]), at, places)
+
+
+def _is_linked(found: Witnesses, one: int, other: int) -> bool:
+    """Whether a link joins keyframes near two others."""
+    if found.links is None or not len(found.links):
+        return False
+    near = np.abs(np.sort(found.links, axis=1) - (one, other)).max(axis=1)
+    return bool(near.min() <= 10)
+
+
+def _untied(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
+    held = np.nan_to_num(evidence.recent[:, SURFACE], nan=np.inf)
+    is_loose = (held < 0.5 * FEWEST) & ~(evidence.links > 0)
+    is_loose[:1] = False
+    for k in _events(is_loose, evidence.stamps_s, -held)[:1]:
+        at = float(evidence.stamps_s[k])
+        told = f"from {at:.0f} s on, at {_place(found, k)}, the map is tied to the rest by odometry alone"
+        yield Cause("untied", told, at, at, found.trajectory[k : k + 1, :2])
+
+
+def _wheels(evidence: Evidence) -> Iterator[Cause]:
+    mount, turns = evidence.mount, evidence.turns
+    parts = []
+    if mount is not None and abs(mount.scale - 1.0) > _FACTOR:
+        parts.append(f"distances are {mount.scale:.2f}")
+    if turns is not None and abs(turns.slope - 1.0) > max(_FACTOR, _SIGMAS * turns.sigma):
+        parts.append(f"turns are {turns.slope:.2f}")
+    if parts:
+        told = f"by the scans {' and '.join(parts)} times what the wheels report; are ranges and wheels in one unit?"
+        yield _whole("wheels", told, evidence)

@@ -1,0 +1,133 @@
+"""What speaks against a map, by keyframe and as a whole."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.front_end import LoopClosureCounts
+from sixthsense.verdict.disagreement import (
+    Disagreement,
+    Lag,
+    Mirror,
+    Mount,
+    Turns,
+    disagreement,
+    lag,
+    mirror,
+    mount,
+    turns,
+)
+from sixthsense.verdict.views import (
+    FEWEST,
+    SURFACE,
+    THROUGH,
+    compared,
+    old_pairs,
+    recent_pairs,
+    travelled,
+    views_of,
+)
+from sixthsense.verdict.witnesses import Witnesses
+
+WINDOW_M = 10.0
+"""of travel, over which a keyframe's pose is judged"""
+
+
+class Evidence(NamedTuple):
+    """Evidence of K keyframes; NaN where nothing is known."""
+
+    stamps_s: Array
+    """(K,) since the first scan"""
+    travel: Array
+    """(K,) m since the first keyframe, a turn of a radian counting as half a metre"""
+    returns: Array
+    """(K,) returns of the scan"""
+    recent: Array
+    """(K, 4) returns that scans of the last 10 m have judged: confirmed, seen through, of these drawn twice, and all"""
+    step: Array
+    """(K, 4) the same of the scan before alone"""
+    old: Array
+    """(K, 4) the same of scans of other passes"""
+    wheels: Disagreement
+    links: Array
+    """(K,) links that hold the keyframe and those after it to those before; matched landmarks where these are used"""
+    mirror: Mirror | None
+    mount: Mount | None
+    turns: Turns | None
+    lag: Lag | None
+    closures: LoopClosureCounts | None
+    old_pairs: NDArray[np.int64]
+    """(m, 2) keyframes of two passes that were compared"""
+    old_found: NDArray[np.int64]
+    """(m, 4) what of their returns was judged"""
+
+
+def evidence_of(found: Witnesses) -> Evidence:
+    """The evidence in what a run has left behind."""
+    count = len(found.trajectory)
+    travel, rows = travelled(found.trajectory), np.maximum(found.keys, 0)
+    stamps_s = np.asarray(1e-9 * (found.stamps_ns - found.stamps_ns[:1]), dtype=np.float64)
+    wheels = None if found.wheels is None or not len(rows) else found.wheels[rows]
+    measured = found.is_measured & (found.keys >= 0)
+    off = disagreement(wheels, found.trajectory, measured)
+    recent, step, old = (np.full((count, 4), np.nan) for _ in range(3))
+    returns, seen = np.full(count, np.nan), None
+    pairs, by_pair = np.zeros((0, 2), np.int64), np.zeros((0, 4), np.int64)
+    if found.scans:
+        views = views_of(found.scans)
+        returns = views.returns.astype(np.float64)
+        before, pairs = recent_pairs(travel), old_pairs(found.trajectory, travel)
+        judged, by_pair = compared(views, found.trajectory, before), compared(views, found.trajectory, pairs)
+        recent, old = _by_keyframe(before[:, 1:], judged, count), _by_keyframe(pairs, by_pair, count)
+        is_step = before[:, 1] - before[:, 0] == 1
+        step = _by_keyframe(before[is_step, 1:], judged[is_step], count)
+        seen = mirror(views, off) if wheels is not None else None
+    at = stamps_s[rows] if len(stamps_s) else np.zeros(count)
+    late = None
+    if found.wheels is not None and found.matched is None and measured.all():
+        late = lag(stamps_s, found.wheels, found.poses)
+    return Evidence(
+        at, travel, returns, recent, step, old, off, _ties(found, count),
+        seen, mount(off), turns(off), late, found.closures, pairs, by_pair,
+    )  # fmt: skip
+
+
+def _by_keyframe(keyframes: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
+    """(K, 4) what was found of pairs (m, 4), added up for the keyframes (m, n) that each is of."""
+    out = np.zeros((count, 4))
+    for column in keyframes.T:
+        for part in range(4):
+            out[:, part] += np.bincount(column, weights=found[:, part], minlength=count)
+    return out
+
+
+def _ties(found: Witnesses, count: int) -> Array:
+    """(K,) what holds each keyframe to those before it."""
+    if found.links is not None and len(found.links):
+        low, high = found.links.min(axis=1), found.links.max(axis=1)
+        change = np.bincount(low + 1, minlength=count + 2) - np.bincount(high + 1, minlength=count + 2)
+        return np.asarray(np.cumsum(change)[:count], dtype=np.float64)
+    return np.full(count, np.nan) if found.matched is None else found.matched.astype(np.float64)
+
+
+def share(found: Array, column: int = THROUGH, least: float = FEWEST) -> Array:
+    """(n,) share of what is judged that is contradicted, or drawn twice; NaN where too little is judged."""
+    judged = found[:, SURFACE] + found[:, THROUGH]
+    return np.where(judged >= least, found[:, column] / np.maximum(judged, 1.0), np.nan)
+
+
+def over_window(values: Array, travel: Array) -> Array:
+    """(K,) largest of the values of the keyframes on the last 10 m before each, and its own; NaN counts as 0."""
+    known, first = np.nan_to_num(values), np.searchsorted(travel, travel - WINDOW_M)
+    return np.array([known[a : k + 1].max() for k, a in enumerate(first)]) if len(travel) else np.zeros(0)
+
+
+def sum_over_window(values: Array, travel: Array) -> Array:
+    """(K, ...) sum of the values of the keyframes on the last 10 m before each, and its own; NaN counts as 0."""
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(np.nan_to_num(values), axis=0)])
+    first = np.searchsorted(travel, travel - WINDOW_M)
+    return np.asarray(total[1:] - total[first])

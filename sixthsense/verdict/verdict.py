@@ -1,0 +1,52 @@
+"""`Verdict`: whether a map is right, how probable it is that it is not, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from sixthsense.core.geometry import Array
+
+Level = Literal["good", "doubtful", "broken"]
+
+
+class Cause(NamedTuple):
+    """Something that makes a map wrong, where the evidence tells it."""
+
+    name: str
+    """`mirrored`, `mount`, `clocks`, `slip`, `carried`, `alike`, `blind`, `untied`, `wheels` or `doubled`"""
+    sentence: str
+    """what was found, with time and place"""
+    from_s: float
+    """seconds since the first scan"""
+    to_s: float
+    places: Array
+    """(n, 2) m, world frame, where it is to be seen; none for one that is everywhere"""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a map is right."""
+
+    level: Level
+    """`good`, `doubtful` or `broken`"""
+    probability: float
+    """that the map is wrong"""
+    keyframes: Array
+    """(K,) that each keyframe's pose is off by more than 0.5 m or 10 degrees relative to those 10 m before it"""
+    causes: tuple[Cause, ...]
+    """the likeliest first; none where the evidence tells none"""
+    evidence: Mapping[str, float]
+    """what was found, by name; what is not known is left out"""
+
+    @property
+    def cause(self) -> str:
+        """Name of the likeliest cause; empty where the evidence tells none."""
+        return self.causes[0].name if self.causes else ""
+
+    def __str__(self) -> str:
+        if self.level == "good":
+            return self.level
+        told = "; ".join(cause.sentence for cause in self.causes[:2])
+        return f"{self.level}: {told}" if told else self.level

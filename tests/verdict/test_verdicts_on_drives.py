@@ -1,0 +1,67 @@
+"""Runs that are right are told good, and wrong ones not, with their cause."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from drives import kidnapped, mirrored, mount_left, replayed, ticks
+
+import sixthsense as ss
+from sixthsense.figures.run import Run
+
+
+@pytest.fixture(scope="module")
+def right() -> Run:
+    return replayed(ticks())
+
+
+def test_a_right_map_is_told_good(right: Run) -> None:
+    verdict = right.verdict
+    assert verdict is not None and verdict.level == "good" and verdict.causes == () and verdict.cause == ""
+    assert str(verdict) == "good" and verdict.probability < 0.1
+    assert len(verdict.keyframes) == len(right.trace.trajectory) and verdict.keyframes.max() < 0.2
+    assert right.metrics["verdict"] == "good" and right.metrics["map_wrong_probability"] == verdict.probability
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "isam2"])
+def test_a_right_map_of_landmarks_is_told_good(estimator: str) -> None:
+    run = replayed(ticks(), front_end="landmarks", estimator=estimator)
+    assert run.verdict is not None and run.verdict.level == "good", run.verdict
+
+
+@pytest.mark.parametrize("front_end", ["scan-matching", "landmarks"])
+def test_a_mirrored_laser_is_told_with_the_time_in_which_the_robot_turns(front_end: str) -> None:
+    run = replayed(mirrored(), front_end=front_end)
+    verdict, duration_s = run.verdict, 1e-9 * (ticks()[-1].stamp_ns - ticks()[0].stamp_ns)
+    assert verdict is not None and verdict.level == "broken" and verdict.cause == "mirrored"
+    begin, end = map(int, re.findall(r"from (\d+) to (\d+) s; is the laser mirrored\?", str(verdict))[0])
+    assert 0 <= begin < 0.2 * duration_s and 0.8 * duration_s < end <= duration_s + 1.0
+
+
+def test_a_mount_that_is_stated_wrongly_is_told_with_where_the_laser_is() -> None:
+    verdict = replayed(mount_left()).verdict
+    assert verdict is not None and verdict.level != "good" and verdict.cause == "mount"
+    told = re.search(r"([\d.]+) m farther left", str(verdict))
+    assert told is not None and float(told[1]) == pytest.approx(0.31, abs=0.03)
+
+
+def test_a_robot_that_was_carried_is_told_with_the_time() -> None:
+    own, at_s = kidnapped()
+    run = replayed(own)
+    verdict = run.verdict
+    assert verdict is not None and verdict.level != "good" and verdict.cause in ("carried", "slip")
+    assert verdict.causes[0].from_s == pytest.approx(at_s, abs=1.5)
+    scans = (np.array(run.trace.stamps_ns) - run.trace.stamps_ns[0]) * 1e-9
+    place = run.trace.scan_poses()[np.searchsorted(scans, at_s), :2]
+    assert math.dist(verdict.causes[0].places[0], place) < 1.5
+
+
+def test_a_verdict_comes_back_from_the_folder_of_its_run(tmp_path: pytest.TempPathFactory) -> None:
+    run = ss.run("rectangle", seed=5, laser={"max_range": 3.0}, out=f"{tmp_path}/run", progress=False)
+    again = ss.load(f"{tmp_path}/run").verdict
+    assert run.verdict is not None and again is not None
+    assert (again.level, again.causes, again.evidence) == (run.verdict.level, (), run.verdict.evidence)
+    assert again.probability == run.verdict.probability and again.keyframes == pytest.approx(
+        run.verdict.keyframes, abs=1e-6
+    )
