@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from damaged_logs import DAMAGES
 from harness import data_path, replay
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from worlds import world
 from wrong_logs import WRONG, changed
 
 from sixthsense.config import Config, merge, preset
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams

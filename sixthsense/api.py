@@ -153,6 +153,7 @@ def merge_runs(
     progress: bool | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
+    force: bool = False,
     **fields: Unpack[MergeFields],
 ) -> Run:
     """Map two runs in one building together: scans of both are aligned, in the frame of the first.
@@ -165,6 +166,8 @@ def merge_runs(
         Folders of runs with scans of one laser. The second is found in the map of the first by what it has seen.
     relations, on_tick, progress, out, overwrite
         What they are for `ss.replay`.
+    force
+        Whether runs are merged, too, whose maps are broken, or that contradict each other.
     **fields
         Fields that override the configuration of the first run, as in `ss.replay`.
 
@@ -176,7 +179,8 @@ def merge_runs(
     Raises
     ------
     InputError
-        One line each: what `ss.replay` raises; two runs with different lasers, or that share no place.
+        One line each: what `ss.replay` raises; two runs with different lasers, that share no place, or
+        that contradict each other.
 
     """
     from sixthsense.config import load_config
@@ -187,9 +191,9 @@ def merge_runs(
     for run in (first, second):
         check_out(run, None if out is None else Path(out))
     config = _apply_fields(load_config(Path(first) / "config.toml"), fields)
-    merged = open_merged(Path(first), Path(second), config, relations)
+    merged = open_merged(Path(first), Path(second), config, relations, force)
     with reserved(out, merged.config, overwrite, merged.files) as folder:
-        return replay_merged(merged, folder, _watch(on_tick, progress))
+        return replay_merged(merged, folder, _watch(on_tick, progress), force)
 
 
 def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:

@@ -90,7 +90,7 @@ class Live(OnNetwork, WithPriorMap):
         if config.no_odometry:
             announce(WITHOUT_ODOMETRY)
         for name in flags.get("laser", {}):
-            if name not in ("mount", "max_range"):
+            if name not in ("mount", "max_range", "mirrored"):
                 raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
         prior = options.prior_start()
         prepare(announce, config, of_log=not options.drive)

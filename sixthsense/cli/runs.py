@@ -116,6 +116,8 @@ class Merge(Common):
     """The folders of the two runs."""
     relations: Annotated[Path | None, arg("FILE")] = None
     """Hand-checked relations between poses, the reference of the trajectory's error."""
+    force: bool = False
+    """Merge runs that contradict each other, too."""
 
     @classmethod
     def main(cls, args: list[str]) -> int:
@@ -131,11 +133,11 @@ class Merge(Common):
         from sixthsense.running.runs import RunHooks
 
         announce(f"looking for {second} in the map of {first}")
-        merged = open_merged(Path(first), Path(second), options.settings, options.relations)
+        merged = open_merged(Path(first), Path(second), options.settings, options.relations, options.force)
         for note in merged.notes:
             announce(f"note: {note}")
         with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
-            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), options)
+            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce), options.force), options)
 
 
 def _base(runs: tuple[str, ...] | None) -> str | Config:

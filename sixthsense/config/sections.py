@@ -133,6 +133,9 @@ class LaserConfig(Section):
     """m; a beam that hits nothing nearer returns inf."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Pose of the laser in the robot's frame: x y theta, m and rad."""
+    mirrored: bool = False
+    """Whether the laser of a log or a robot exchanges left and right: it turns clockwise or is upside down, and neither
+    its scans nor its mount say so."""
     period_ticks: PositiveCount = 5
     """Control ticks per scan."""
     sweep_s: Annotated[float, Range(0.0, 1.0)] = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,13 @@ class Scan:
     def times_s(self) -> Array:
         """(N,) seconds, at most 0, of each beam relative to the scan's stamp, which is that of the latest beam."""
         return sweep_times(len(self.ranges), self.time_increment)
+
+    def mirrored(self) -> Scan:
+        """The scan of a laser that exchanges left and right, of beams with even spacing."""
+        last = float(self.angle_min) + float(self.angle_increment) * (len(self.ranges) - 1)
+        ranges = self.ranges[::-1].copy()
+        ranges.flags.writeable = False
+        return replace(self, ranges=ranges, angle_min=np.float32(-last), time_increment=-self.time_increment)
 
     @property
     def points_robot(self) -> Array:

@@ -134,6 +134,7 @@ class Session:
             raise InputError(topics.scan, turns)
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
+        self._laser.upside_down ^= laser.mirrored
         self._laser.fix()
         _, scan = self._laser.scan(found)
         laser = described_laser([scan], laser)

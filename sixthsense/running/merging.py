@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import Config, load_config, merge
 from sixthsense.config.errors import InputError
@@ -16,13 +19,18 @@ from sixthsense.config.files import absolute
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.figures.run import Run
+from sixthsense.record.ending import VERDICT_FILE
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
+from sixthsense.record.verdict_file import read_verdict
+from sixthsense.record.witnesses import witnesses_of
 from sixthsense.running.runs import RunHooks, replay_log
+from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.log import Log, read_relations
 from sixthsense.sources.replay_input import ReplayInput, open_recorded, relations_of
+from sixthsense.verdict.evidence import between_runs
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
 _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
@@ -37,11 +45,59 @@ class Merged(ReplayInput):
     """stamp of the second run's first tick"""
 
 
-def open_merged(first: Path, second: Path, config: Config | None, relations: str | Path | None) -> Merged:
+class Ties(NamedTuple):
+    """What holds the two runs of a merged map together."""
+
+    overlap_m2: float
+    """area that both have seen"""
+    links: int
+    """between keyframes of the one and of the other"""
+    agreement: float
+    """share of the returns of each that the other confirms, of those that it can judge; NaN where it can judge none"""
+
+    def __str__(self) -> str:
+        seen = f"both runs have seen {self.overlap_m2:,.0f} m², {self.links:,} links join them"
+        agree = "" if math.isnan(self.agreement) else f", they agree in {100.0 * self.agreement:.1f} % of what both saw"
+        return seen + agree
+
+
+def ties(trace: Trace, begin_ns: int) -> Ties:
+    """What ties the keyframes of a merged run before and from a stamp on."""
+    first = int(np.searchsorted(trace.key_stamps_ns, begin_ns))
+    links = 0 if trace.links is None else int(np.sum((trace.links.ends < first).sum(axis=1) == 1))
+    seen = [_seen(trace, rows) for rows in (range(first), range(first, len(trace.trajectory)))]
+    cells = np.intersect1d(seen[0], seen[1], assume_unique=True)
+    confirmed, through = between_runs(witnesses_of(trace), first)
+    share = confirmed / (confirmed + through) if confirmed + through else math.nan
+    return Ties(len(cells) * trace.config.grid.cell_m**2, links, share)
+
+
+def _seen(trace: Trace, rows: range) -> NDArray[np.int64]:
+    """(n,) the cells that some keyframes have seen, each as one number."""
+    mapper = Mapper(trace.config.grid, trace.radius_m)
+    for k in rows:
+        scan = trace.key_scans[k]
+        if scan is not None:
+            mapper.add(k, lambda: trace.trajectory, scan, np.zeros((0, 2, 2)))
+    mapper.complete(trace.trajectory)
+    found = mapper.grid.submap()
+    cells = found.cells[found.seen].astype(np.int64)
+    return np.asarray(cells[:, 0] * 2**32 + cells[:, 1])
+
+
+def open_merged(
+    first: Path, second: Path, config: Config | None, relations: str | Path | None, force: bool = False
+) -> Merged:
     """The folders of two runs as one log, with `relations` to evaluate its replay. Raises what `merged_log` raises.
 
-    Without `config` it is that of the first run. Scans are aligned, whatever front end and estimator it names.
+    Without `config` it is that of the first run. Scans are aligned, whatever front end and estimator it names. Raises
+    InputError for a run whose own map was told broken, unless by `force`.
     """
+    for run in (first, second):
+        if not force and (run / VERDICT_FILE).is_file():
+            verdict = read_verdict(run / VERDICT_FILE)
+            if verdict.level == "broken":
+                raise InputError(run, f"found a map that is {verdict}", "one that is good, or `force`")
     settings = [config or load_config(first / "config.toml"), load_config(second / "config.toml")]
     one, other = (open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True))
     merged = merged_log(one, other)
@@ -86,16 +142,24 @@ def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
     return Merged(f"{first.name}-{second.name}", log, first.config, None, files, notes, begin_ns)
 
 
-def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> Run:
+def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks, force: bool = False) -> Run:
     """Replay a merged log, as `replay_log`; raises InputError if the second run could not be linked to the first.
 
-    Nothing is left of the folder then.
+    That is also raised if the runs contradict each other, unless by `force`. Nothing is left of the folder then. What
+    ties the runs is told to `watch.say`.
     """
 
     def check(trace: Trace) -> None:
-        if trace.outcome != "interrupted" and not _are_linked(trace, merged.begin_ns):
+        if trace.outcome == "interrupted":
+            return
+        tied = ties(trace, merged.begin_ns)
+        if not tied.links:
             found = "found no scan of the second run that could be linked to the first"
             raise InputError("merge", found, "two runs that share a part of one building")
+        if not force and trace.verdict is not None and trace.verdict.level == "broken":
+            raise InputError("merge", f"found a map that is {trace.verdict} ({tied})", "runs that agree, or `force`")
+        if watch.say is not None:
+            watch.say(f"note: {tied}")
 
     try:
         return replay_log(merged, folder, dataclasses.replace(watch, at_end=check))
@@ -103,12 +167,6 @@ def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> 
         if folder is not None:
             shutil.rmtree(folder.partial, ignore_errors=True)
         raise
-
-
-def _are_linked(trace: Trace, begin_ns: int) -> bool:
-    """Whether a link joins a keyframe of the first run and one of the second."""
-    first = int(np.searchsorted(trace.key_stamps_ns, begin_ns))
-    return trace.links is not None and bool(np.any((trace.links.ends < first).sum(axis=1) == 1))
 
 
 def _check_lasers(first: ReplayInput, second: ReplayInput) -> None:

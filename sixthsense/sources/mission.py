@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, label
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.random_streams import random_streams
+from sixthsense.sources.free_parts import FreeParts
 from sixthsense.sources.scene import Scene, check_placement, load_scene
 from sixthsense.sources.walkers import Walkers, walkers_of
 from sixthsense.sources.world import World
-
-_CELL_M = 0.05
-_SLACK_CELLS = 1.5
-"""of a distance between cells, so that no place is called unreachable that is not"""
 
 
 class Mission(NamedTuple):
@@ -77,7 +71,9 @@ def mission(scene: Scene, config: Config) -> Mission:
         _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     radius_m = config.robot.radius or scene.radius
-    _check_ways(scene, start, goals, radius_m, "goal" if config.task == "goal" else "tour")
+    parts = FreeParts(scene.solid, np.vstack([start.position[None], goals]), radius_m, is_coarse=not len(goals))
+    _check_free(parts, start)
+    _check_ways(parts, start, goals, "goal" if config.task == "goal" else "tour")
     return Mission(scene, start, goals, radius_m, walkers_of(scene, config, start, radius_m))
 
 
@@ -88,34 +84,19 @@ def with_people(scene: Scene, config: Config) -> Config:
     return config
 
 
-def _check_ways(scene: Scene, start: Pose, goals: Array, radius_m: float, field: str) -> None:
+def _check_free(parts: FreeParts, start: Pose) -> None:
+    """Raise InputError for a start in a solid: a table, a pillar, the inside of a thick wall."""
+    if parts.is_solid(start.position) and (near := parts.nearest(start.position)) is not None:
+        found = f"found ({start.x:g}, {start.y:g}), inside a table, a pillar or a wall"
+        raise InputError("start", found, f"a free place, such as ({near[0]:.2f}, {near[1]:.2f})")
+
+
+def _check_ways(parts: FreeParts, start: Pose, goals: Array, field: str) -> None:
     """Raise InputError for a goal that no way leads to from the start, as in a shaft without a door."""
-    if not len(goals):
-        return
-    for (x, y), is_connected in zip(goals, connected(scene.solid, start.position, goals, radius_m), strict=True):
+    for (x, y), is_connected in zip(goals, parts.connected(start.position, goals), strict=True):
         if not is_connected:
             found = f"found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
-            raise InputError(field, found, f"a place that a robot of radius {radius_m:g} m can drive to")
-
-
-def connected(walls: Array, start: Array, goals: Array, radius_m: float) -> NDArray[np.bool_]:
-    """(N,) whether a disc of `radius_m` may get from `start` (2,) to goals (N, 2) among walls (M, 2, 2), world frame.
-
-    A gap that is narrower than the disc by a cell counts as one that it fits through.
-    """
-    places = np.vstack([start[None], goals])
-    corners = np.concatenate([walls.reshape(-1, 2), places])
-    low = corners.min(axis=0) - radius_m - 2.0 * _CELL_M
-    shape = np.ceil((corners.max(axis=0) + radius_m + 2.0 * _CELL_M - low) / _CELL_M).astype(np.int64) + 1
-    is_free = np.ones(tuple(shape), dtype=np.bool_)
-    for first, last in walls:
-        steps = math.ceil(2.0 * math.dist(first, last) / _CELL_M) + 1
-        x, y = np.floor((np.linspace(first, last, steps) - low) / _CELL_M).astype(np.int64).T
-        is_free[x, y] = False
-    passable = distance_transform_edt(is_free) > radius_m / _CELL_M - _SLACK_CELLS
-    parts, _ = label(passable, structure=np.ones((3, 3)))
-    found = parts[tuple(np.floor((places - low) / _CELL_M).astype(np.int64).T)]
-    return np.asarray((found[1:] == found[0]) | (found[0] == 0) | (found[1:] == 0))
+            raise InputError(field, found, f"a place that a robot of radius {parts.radius_m:g} m can drive to")
 
 
 def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:

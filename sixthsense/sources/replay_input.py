@@ -96,8 +96,9 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Log
     if kind == "run" and "preset" in fields:
         refused.append(("preset", "a run folder", "single fields over its config.toml"))
     if kind in ("run", "bag"):
-        where = "a bag, which describes its laser"
-        refused += [(f"laser.{name}", where, "`laser.mount`") for name in fields.get("laser", {}) if name != "mount"]
+        where, taken = "a bag, which describes its laser", ("mount",) if kind == "run" else ("mount", "mirrored")
+        allowed = " and ".join(f"`laser.{name}`" for name in taken)
+        refused += [(f"laser.{name}", where, allowed) for name in fields.get("laser", {}) if name not in taken]
     if kind != "mrclam" and chosen.robot is not None:
         refused.append(("robot", "a log that is not a MRCLAM folder", "on a MRCLAM folder"))
     if kind in ("graph", "mrclam"):

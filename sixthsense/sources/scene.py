@@ -236,15 +236,25 @@ def _check_inside(where: str, point: Point, region: Region) -> None:
 
 def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
     distance = float(point_segment_distance(np.array(point), scene.solid).min())
-    found = f"found ({point[0]:g}, {point[1]:g}),"
+    found, allowed = f"found ({point[0]:g}, {point[1]:g}),", f"at least the robot's radius {radius:g} m"
     if distance < radius:
-        raise InputError(where, f"{found} {distance:.3g} m from a wall", f"at least the robot's radius {radius:g} m")
+        raise InputError(where, f"{found} {distance:.3g} m from a wall", allowed + _near(point, scene, radius))
     if scene.solid_left:
         ends = scene.walls - np.array(point)  # (N, 2, 2)
         cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
         turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
         if turns > 0.5:
-            raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", "a free place")
+            allowed = "a free place" + _near(point, scene, radius)
+            raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", allowed)
+
+
+def _near(point: Point, scene: Scene, radius: float) -> str:
+    """The end of a message about a place that is not free: the nearest one that is."""
+    from sixthsense.sources.free_parts import FreeParts  # here, since most places are free
+
+    place = np.array(point, dtype=np.float64)
+    near = FreeParts(scene.solid, place[None], radius, is_coarse=True).nearest(place)
+    return "" if near is None else f", such as ({near[0]:.2f}, {near[1]:.2f})"
 
 
 def _picture(scene: Scene) -> Picture:

@@ -1,7 +1,11 @@
 """Two runs in one building, mapped together."""
 
 import dataclasses
+import json
+import re
+import shutil
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,3 +161,20 @@ def test_runs_of_two_buildings_are_not_merged(runs, here, capsys):
     assert line.startswith(
         "other: found no place of monday that alone fits what was seen, allowed: two runs that share"
     )
+
+
+def test_what_ties_the_runs_is_told_and_a_broken_run_is_refused_with_its_cause_unless_it_is_forced(runs, here, capsys):
+    folders = [str(runs / "monday"), str(runs / "tuesday")]
+    assert cli.main(["merge", *folders, "--out", "tied"]) == cli.DONE
+    err = capsys.readouterr().err
+    found = re.search(r"note: both runs have seen (\d+) m², (\d+) links join them, they agree in ([\d.]+) %", err)
+    assert found is not None and int(found[1]) > 20 and int(found[2]) > 5 and float(found[3]) > 97.0
+    both = ss.load("tied")
+    assert both.verdict.level == "good"
+    shutil.copytree(runs / "tuesday", "broken")
+    table = json.loads(Path("broken/verdict.json").read_text())
+    cause = {"name": "mirrored", "sentence": "is the laser mirrored?", "from_s": 1.5, "to_s": 22.5, "places": []}
+    Path("broken/verdict.json").write_text(json.dumps({**table, "level": "broken", "causes": [cause]}))
+    with pytest.raises(InputError, match=r"broken: is the laser mirrored\?"):
+        ss.merge_runs(runs / "monday", "broken", progress=False)
+    assert ss.merge_runs(runs / "monday", "broken", force=True, progress=False).verdict.level == "good"

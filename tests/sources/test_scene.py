@@ -14,7 +14,8 @@ from sixthsense.core.geometry import Pose, point_segment_distance
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.sources.campus import Campus, campus_walls
-from sixthsense.sources.mission import connected, mission, mission_of
+from sixthsense.sources.free_parts import FreeParts
+from sixthsense.sources.mission import mission, mission_of
 from sixthsense.sources.ros_map import outline_corners, simplified
 from sixthsense.sources.scene import Scene, check_placement, load_scene, shipped_scenes
 
@@ -433,7 +434,9 @@ def replace_walkers(task):
 @pytest.mark.parametrize(("gap", "is_reached"), [(0.0, False), (0.2, False), (0.45, True), (1.5, True)])
 def test_a_shaft_is_reached_through_a_door_that_the_robot_fits_through(gap, is_reached):
     walls = np.array([*SQUARE, *SHAFT, [[3.0, 3.0 + gap], [3.0, 4.5]]], dtype=np.float64)
-    assert connected(walls, np.array([1.0, 1.0]), np.array([[3.8, 3.8]]), 0.2).tolist() == [is_reached]
+    start, goals = np.array([1.0, 1.0]), np.array([[3.8, 3.8]])
+    parts = FreeParts(walls, np.vstack([start[None], goals]), 0.2)
+    assert parts.connected(start, goals).tolist() == [is_reached]
 
 
 def test_goals_of_every_shipped_scene_are_reached():

@@ -248,6 +248,7 @@ def _ticks(
             ranges = np.where(reading.ranges < np.float32(reach), reading.ranges, np.float32(np.inf))
             ranges.flags.writeable = False
             scan = Scan(ranges, np.float32(first), np.float32(step), reach, place, lag)
+            scan = scan.mirrored() if given.mirrored else scan
         stamp_ns = max(own_ns, stamp_ns + 1)
         own_s = None if scan is None else reading.stamp_s
         ticks.append(Tick(stamp_ns, Pose.from_array(reading.poses[1]), scan, log_stamp_s=own_s))

@@ -221,7 +221,7 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry:
 def _log(path: Path, reader: AnyReader, recording: _Recording, laser: LaserConfig, how: How) -> Log:
     remarks = recording.remarks
     place, upside_down = _mount(path, reader, recording, laser, how.is_mount_given)
-    scans = _scans(path, recording, place, upside_down, how.units)
+    scans = _scans(path, recording, place, upside_down != laser.mirrored, how.units)
     made = [each.value for each in scans if isinstance(each.value, Scan)]
     if not any((s.ranges <= np.float32(s.max_range)).any() for s in made):
         raise InputError(path, f"found no return in {len(made)} scans", "ranges from range_min to range_max")
