@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from damaged_logs import DAMAGES
 from harness import data_path, replay
-from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from worlds import world
 from wrong_logs import WRONG, changed
 
 from sixthsense.config import Config, merge, preset
+from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
@@ -44,6 +44,8 @@ WORLDS = {
     "fit": (("bends", 1), ("doors", 4)),
     "judge": (("steps", 5), ("curves", 6)),
 }
+_EVERY = {"intel": 2, "fr079": 2, "aces": 2, "clinic": 1}
+"""of the scans of a log, each of which is used"""
 SEEDS = {"fit": 1, "judge": 2}
 FILES = {
     "intel": "intel/intel.clf.bz2",
@@ -51,8 +53,8 @@ FILES = {
     "aces": "aces/aces.clf.bz2",
     "clinic": "clinic/clinic.bag",
 }
-_OF_ALL = ("clean", *WRONG)
-"""damages that are done to all pieces of a log, and not to the first one alone"""
+_MOST_PIECES = {"intel": 2, "fr079": 1, "aces": 2, "clinic": 1}
+"""pieces of a log that all of `WRONG` is done to; one has the other damages"""
 _OF_WORLDS = ("clean", "people", "rough", *WRONG)
 _WORLD_S, _WORLD_SPEED = 120.0, 0.5
 
@@ -70,11 +72,11 @@ def jobs(half: str) -> Iterator[tuple[str, str, str]]:
     """Source, front end and damage of each run of a half."""
     for damage in ("clean", *WRONG, *(name for name in DAMAGES if name != "clean")):
         for log, pieces in PIECES[half].items():
-            for k in range(len(pieces) if damage in _OF_ALL else 1):
+            for k in range(_MOST_PIECES[log] if damage in WRONG else len(pieces) if damage == "clean" else 1):
                 yield f"{log}-{k}", "scan-matching", damage
         if damage in _OF_WORLDS:
-            for family, seed in WORLDS[half]:
-                for front in ("scan-matching", "landmarks"):
+            for k, (family, seed) in enumerate(WORLDS[half]):
+                for front in ("scan-matching", "landmarks")[: 1 if k and damage != "clean" else 2]:
                     yield f"{family}-{seed}", front, damage
 
 
@@ -91,7 +93,7 @@ def source(half: str, name: str, cache: Path) -> Source:
         np.save(file, replay(Log(ticks, recorded.log.laser), recorded.config).trace.scan_poses())
     truth, stamps_s = np.load(file), 1e-9 * np.array([tick.stamp_ns for tick in ticks])
     own = (stamps_s >= stamps_s[0] + begin_s) & (stamps_s < stamps_s[0] + begin_s + length_s)
-    rows = np.flatnonzero(own)
+    rows = np.flatnonzero(own)[:: _EVERY[what]]
     return Source([ticks[k] for k in rows], truth[rows], recorded.log.laser, recorded.config)
 
 
@@ -106,20 +108,22 @@ def _driven(family: str, seed: int) -> Source:
     scene = world(family, seed, _WORLD_S, _WORLD_SPEED)
     assert scene.start is not None and scene.tour is not None
     drive = World(scene.walls, scene.start, scene.radius or DEFAULT_ROBOT_RADIUS_M, config, random_streams(seed).world)
-    ticks, goals, command = [], [*scene.tour], Command()
+    scans: list[Tick] = []
+    goals, command = [*scene.tour], Command()
     for _ in range(round(_WORLD_S / config.robot.control_period_s)):
         tick = drive.step(command)
         if tick is None or tick.collided or not goals:
             break
         assert tick.truth is not None
         if tick.scan is not None:
-            ticks.append(tick)
+            scans.append(tick)
         x, y = goals[0][0] - tick.truth.x, goals[0][1] - tick.truth.y
         if math.hypot(x, y) < 0.1:
             goals.pop(0)
         turn = (math.atan2(y, x) - tick.truth.theta + math.pi) % (2.0 * math.pi) - math.pi
         command = Command(config.robot.speed * max(0.0, 1.0 - 3.0 * abs(turn)), float(np.clip(3.0 * turn, -1.0, 1.0)))
-    return Source(ticks, np.array([tick.truth.array() for tick in ticks]), config.laser, config)
+    ticks = scans[::2]
+    return Source(ticks, np.array([tick.truth.array() for tick in ticks if tick.truth]), config.laser, config)
 
 
 def made(src: Source, front: str, damage: str, seed: int) -> dict[str, Any]:

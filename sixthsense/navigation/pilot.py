@@ -8,6 +8,8 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.slam.result import Step
 
+TURN_RATE = 0.3
+"""rad/s, of a robot that looks for its place"""
 _PATIENCE_NS = 3_000_000_000
 """time that a stopped robot waits for what moves, before it seeks another way"""
 
@@ -18,6 +20,8 @@ class Pilot:
     def __init__(self, navigator: Navigator, guard: Guard) -> None:
         self.navigator = navigator
         self.guard = guard
+        self.pace = 1.0
+        """share of the navigator's speed that is driven; at 0 the robot turns in place, since its map is wrong"""
         self._stopped_ns: int | None = None
 
     def steer(self, step: Step) -> Command:
@@ -36,7 +40,7 @@ class Pilot:
 
     def command(self, pose: Pose, stamp_ns: int) -> Command:
         """The command of a robot at a pose, `T_world_robot`."""
-        command = self.guard.check(self.navigator.step(pose, stamp_ns))
+        command = self.guard.check(self._paced(self.navigator.step(pose, stamp_ns)))
         if not self.guard.stopped:
             self._stopped_ns = None
             return command
@@ -46,3 +50,10 @@ class Pilot:
         if not self.guard.waits_for_moving or stamp_ns - self._stopped_ns >= _PATIENCE_NS:
             self.navigator.guard_stopped(pose)
         return command
+
+    def _paced(self, command: Command) -> Command:
+        if self.pace == 1.0 or command == Command():
+            return command
+        return (
+            Command(self.pace * command.speed, self.pace * command.turn_rate) if self.pace else Command(0.0, TURN_RATE)
+        )

@@ -25,6 +25,7 @@ from sixthsense.sources.logs.ros_messages import (
 
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """names of the frames"""
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 MAP_UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 """a type that ROS 2 has in a package of its own"""
 _MAP_UPDATE_FIELDS = "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data"
@@ -81,6 +82,16 @@ class Messages:
             pose_with_cov(self.pose(pose), increment_covariance(increment_cov, is_unmeasured)),
             self._types["geometry_msgs/msg/TwistWithCovariance"](self.twist(0.0, 0.0), np.zeros(36)),
         )
+
+    def status(self, level: int, name: str, message: str, hardware: str, values: Mapping[str, str]) -> Any:
+        """diagnostic_msgs/DiagnosticStatus; levels are 0 OK, 1 WARN, 2 ERROR."""
+        pair = self._types["diagnostic_msgs/msg/KeyValue"]
+        pairs = [pair(key, value) for key, value in values.items()]
+        return self._types["diagnostic_msgs/msg/DiagnosticStatus"](level, name, message, hardware, pairs)
+
+    def diagnostics(self, stamp_ns: int, statuses: Sequence[Any]) -> Any:
+        """diagnostic_msgs/DiagnosticArray."""
+        return self._types[DIAGNOSTICS](self.header(stamp_ns, ""), [*statuses])
 
     def twist(self, speed: float, turn_rate: float) -> Any:
         """geometry_msgs/Twist of a robot on a floor, m/s and rad/s."""

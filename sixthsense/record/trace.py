@@ -105,6 +105,8 @@ class Live:
     """features of the last keyframe; robot's frame"""
     since_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     """(3, 3) of the motion since the last keyframe, axes of the keyframe"""
+    verdict: Verdict | None = None
+    """on the map so far, where someone asks for it"""
 
     def point_covariances(self, estimate: Estimate) -> Array:
         """(m, 2, 2) covariances of the m point landmarks of the latest estimate, world frame."""

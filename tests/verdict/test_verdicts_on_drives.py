@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from drives import kidnapped, mirrored, mount_left, replayed, ticks
+from driven import kidnapped, mirrored, mount_left, replayed, ticks
 
 import sixthsense as ss
 from sixthsense.figures.run import Run
