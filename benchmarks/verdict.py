@@ -44,7 +44,7 @@ WEIGHTS = HERE.parent / "sixthsense" / "verdict" / "weights.json"
 _PART_S = 480.0
 _WRONG_MEAN_M, _WRONG_LARGEST_M = 0.3, 2.0
 _BACK_M = 10.0
-_PENALTY = {"keyframes": 0.02, "map": 0.02}  # of squared weights, relative to the mean log-likelihood of a run
+_PENALTY = 0.001  # of squared weights of features in their standard deviations, to the mean log-likelihood
 _BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 1.0)
 
 
@@ -140,9 +140,10 @@ def write_weights(runs: Sequence[Known]) -> None:
     """Fit both models, and write them with what they were fitted on."""
     share = np.concatenate([np.full(len(run.is_off), 1.0 / len(run.is_off)) for run in runs])
     features, off = np.concatenate([run.keyframes for run in runs]), np.concatenate([run.is_off for run in runs])
-    keyframes = fitted(features, off, share, KEYFRAME_FEATURES, _PENALTY["keyframes"])
+    keyframes = fitted(features, off, share, KEYFRAME_FEATURES)
     whole, wrong = np.array([run.whole for run in runs]), np.array([run.is_wrong for run in runs])
-    of_map = fitted(whole, wrong, np.ones(len(runs)), MAP_FEATURES, _PENALTY["map"])
+    even = np.where(wrong, 0.5 / wrong.mean(), 0.5 / (~wrong).mean())  # a map is wrong or right with the same prior
+    of_map = fitted(whole, wrong, even, MAP_FEATURES)
     told = logistic(of_map, MAP_FEATURES, whole)
     limits = np.unique(np.concatenate([told, [0.5]]))
     costs = [max(np.mean(told[wrong] < p) / 0.05, np.mean(told[~wrong] >= p) / 0.03) for p in limits]
@@ -161,7 +162,7 @@ def write_weights(runs: Sequence[Known]) -> None:
     print(json.dumps(found, indent=1))
 
 
-def fitted(features: Array, wrong: Array, share: Array, names: Sequence[str], penalty: float) -> dict[str, Any]:
+def fitted(features: Array, wrong: Array, share: Array, names: Sequence[str]) -> dict[str, Any]:
     """Weights of the largest likelihood, each sample by its share, with none that is negative."""
     scale = np.maximum(features.std(axis=0), 1e-9)
     scaled, total = features / scale, share.sum()
@@ -170,10 +171,10 @@ def fitted(features: Array, wrong: Array, share: Array, names: Sequence[str], pe
         z = parameters[0] + scaled @ parameters[1:]
         p = 1.0 / (1.0 + np.exp(-z))
         off = share * (p - wrong) / total
-        value = float(share @ (np.logaddexp(0.0, z) - wrong * z)) / total + penalty * float(
+        value = float(share @ (np.logaddexp(0.0, z) - wrong * z)) / total + _PENALTY * float(
             parameters[1:] @ parameters[1:]
         )
-        return value, np.concatenate([[off.sum()], scaled.T @ off + 2.0 * penalty * parameters[1:]])
+        return value, np.concatenate([[off.sum()], scaled.T @ off + 2.0 * _PENALTY * parameters[1:]])
 
     bounds = [(None, None), *[(0.0, None)] * features.shape[1]]
     found = minimize(loss, np.zeros(1 + features.shape[1]), jac=True, bounds=bounds, method="L-BFGS-B").x

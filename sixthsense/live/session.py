@@ -22,6 +22,8 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
 from sixthsense.live.ahead_pilot import AheadPilot
+from sixthsense.live.diagnostics import TOPIC as DIAGNOSTICS
+from sixthsense.live.diagnostics import Diagnostics
 from sixthsense.live.maps import MapSender
 from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Publisher, Stamped
@@ -181,8 +183,11 @@ class Session:
             publisher = Publisher(self._advertise, robot, self._maps.offer, self._transform_ahead_s)
             self._maps.begin_anew()
 
+            diagnostics = Diagnostics(self._node.writer(DIAGNOSTICS).send, robot.joiner.clock.stamp, pilot)
+
             def on_tick(tick: Tick, trace: Trace) -> None:
                 publisher(tick, trace)
+                diagnostics(tick, trace)
                 if hook is not None:
                     hook(tick, trace)
 

@@ -24,7 +24,7 @@ from sixthsense.record.writing import FolderLock, naming, whole
 
 _FILES = frozenset(
     {
-        "config.toml", FILE, "record.npz", "grid.npz", "metrics.json", "places_left.csv",
+        "config.toml", FILE, "record.npz", "grid.npz", "metrics.json", "verdict.json", "places_left.csv",
         "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", "landmarks.npz",
         "graph.g2o", "graph.npz", "map.pgm", "map.yaml",
         "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html", "figures/animation.gif",

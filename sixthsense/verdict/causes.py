@@ -12,7 +12,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.verdict.evidence import Evidence, share
 from sixthsense.verdict.probability import MIRROR_SIGMAS
 from sixthsense.verdict.verdict import Cause
-from sixthsense.verdict.views import FEWEST, SURFACE
+from sixthsense.verdict.views import FEWEST
 from sixthsense.verdict.witnesses import Witnesses
 
 _NOWHERE = np.zeros((0, 2))
@@ -23,6 +23,7 @@ _SLIP_M, _SLIP_RAD = 0.3, math.radians(10.0)  # of a motion that wheels and traj
 _NEW_SHARE = 0.3  # of the returns of a scan that the scan before contradicts: it is of another place
 _OLD_SHARE = 0.25  # the same of another pass
 _BLIND_M = 2.0  # of travel without a return that is worth a word
+_LEAST_OVERLAP = 0.3  # of the returns of a scan, confirmed by those before
 _APART_S = 5.0  # between two events that are told apart
 _FACTOR = 0.1  # by which wheels are wrong that is worth a word
 
@@ -94,12 +95,12 @@ def _place(found: Witnesses, k: int) -> str:
 
 def _carried(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     """Scans that contradict the one before: the robot is elsewhere than its wheels say."""
-    new = np.nan_to_num(share(evidence.step))
+    new = np.nan_to_num(evidence.cut)
     for k in _events(new > _NEW_SHARE, evidence.stamps_s, new)[:3]:
         at = float(evidence.stamps_s[k])
         told = (
-            f"the scan at {at:.0f} s, at {_place(found, k)}, does not fit the one before "
-            f"({100 * new[k]:.0f} % of it was seen through); was the robot carried?"
+            f"the scan at {at:.0f} s, at {_place(found, k)}, does not fit those before "
+            f"({100 * new[k]:.0f} % of what both saw contradicts); was the robot carried?"
         )
         yield Cause("carried", told, at, at, found.trajectory[k : k + 1, :2])
 
@@ -127,8 +128,8 @@ def _blind(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     for first, past in zip(edges[::2], edges[1::2], strict=True):
         begin, end = max(first - 1, 0), min(past, len(is_blind) - 1)
         yield from _unseen(evidence, found, int(begin), int(end), "nothing was seen for")
-    held = evidence.step[:, SURFACE]
-    gaps = np.flatnonzero((np.diff(evidence.stamps_s, prepend=evidence.stamps_s[:1]) > _APART_S) & (held < FEWEST))
+    is_new = np.nan_to_num(evidence.overlap, nan=1.0) < _LEAST_OVERLAP
+    gaps = np.flatnonzero((np.diff(evidence.stamps_s, prepend=evidence.stamps_s[:1]) > _APART_S) & is_new)
     for k in gaps[:3]:
         yield from _unseen(evidence, found, int(k) - 1, int(k), "no scan overlaps with those before for")
 
@@ -167,10 +168,9 @@ def _is_linked(found: Witnesses, one: int, other: int) -> bool:
 
 
 def _untied(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
-    held = np.nan_to_num(evidence.recent[:, SURFACE], nan=np.inf)
-    is_loose = (held < 0.5 * FEWEST) & ~(evidence.links > 0)
-    is_loose[:1] = False
-    for k in _events(is_loose, evidence.stamps_s, -held)[:1]:
+    overlap = np.nan_to_num(evidence.overlap, nan=1.0)
+    is_loose = (overlap < _LEAST_OVERLAP) & ~(evidence.links > 0)
+    for k in _events(is_loose, evidence.stamps_s, -overlap)[:1]:
         at = float(evidence.stamps_s[k])
         told = f"from {at:.0f} s on, at {_place(found, k)}, the map is tied to the rest by odometry alone"
         yield Cause("untied", told, at, at, found.trajectory[k : k + 1, :2])

@@ -22,7 +22,9 @@ from sixthsense.verdict.disagreement import (
     turns,
 )
 from sixthsense.verdict.views import (
+    ALL,
     FEWEST,
+    NEXT,
     SURFACE,
     THROUGH,
     compared,
@@ -48,8 +50,10 @@ class Evidence(NamedTuple):
     """(K,) returns of the scan"""
     recent: Array
     """(K, 4) returns that scans of the last 10 m have judged: confirmed, seen through, of these drawn twice, and all"""
-    step: Array
-    """(K, 4) the same of the scan before alone"""
+    cut: Array
+    """(K,) share of contradicted returns between the scans right before a keyframe and those from it on: the median"""
+    overlap: Array
+    """(K,) share of the scan's returns that one of the scans before confirms, the best of them"""
     old: Array
     """(K, 4) the same of scans of other passes"""
     wheels: Disagreement
@@ -74,7 +78,8 @@ def evidence_of(found: Witnesses) -> Evidence:
     wheels = None if found.wheels is None or not len(rows) else found.wheels[rows]
     measured = found.is_measured & (found.keys >= 0)
     off = disagreement(wheels, found.trajectory, measured)
-    recent, step, old = (np.full((count, 4), np.nan) for _ in range(3))
+    recent, old = (np.full((count, 4), np.nan) for _ in range(2))
+    cut, overlap = (np.full(count, np.nan) for _ in range(2))
     returns, seen = np.full(count, np.nan), None
     pairs, by_pair = np.zeros((0, 2), np.int64), np.zeros((0, 4), np.int64)
     if found.scans:
@@ -83,17 +88,42 @@ def evidence_of(found: Witnesses) -> Evidence:
         before, pairs = recent_pairs(travel), old_pairs(found.trajectory, travel)
         judged, by_pair = compared(views, found.trajectory, before), compared(views, found.trajectory, pairs)
         recent, old = _by_keyframe(before[:, 1:], judged, count), _by_keyframe(pairs, by_pair, count)
-        is_step = before[:, 1] - before[:, 0] == 1
-        step = _by_keyframe(before[is_step, 1:], judged[is_step], count)
+        cut, overlap = _cuts(before, judged, count), _overlaps(before, judged, count)
         seen = mirror(views, off) if wheels is not None else None
     at = stamps_s[rows] if len(stamps_s) else np.zeros(count)
     late = None
     if found.wheels is not None and found.matched is None and measured.all():
         late = lag(stamps_s, found.wheels, found.poses)
     return Evidence(
-        at, travel, returns, recent, step, old, off, _ties(found, count),
+        at, travel, returns, recent, cut, overlap, old, off, _ties(found, count),
         seen, mount(off), turns(off), late, found.closures, pairs, by_pair,
     )  # fmt: skip
+
+
+def _cuts(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
+    """(K,) share contradicted of the pairs of one keyframe before each and one from it on: the median of them."""
+    is_near = pairs[:, 1] - pairs[:, 0] <= NEXT
+    own, shares = pairs[is_near], share(found[is_near].astype(np.float64))
+    over = np.full((count, NEXT * (NEXT + 1) // 2), np.nan)
+    column = 0
+    for width in range(1, NEXT + 1):
+        is_wide = own[:, 1] - own[:, 0] == width
+        for ahead in range(width):
+            at = own[is_wide, 1] - ahead
+            over[at, column] = shares[is_wide]
+            column += 1
+    known = np.isfinite(over).any(axis=1)
+    out = np.full(count, np.nan)
+    out[known] = np.nanmedian(over[known], axis=1)
+    return out
+
+
+def _overlaps(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
+    """(K,) the best share of returns confirmed of the pairs that end at each keyframe; NaN for the first."""
+    out = np.zeros(count)
+    np.maximum.at(out, pairs[:, 1], found[:, SURFACE] / np.maximum(found[:, ALL], 1))
+    out[:1] = np.nan
+    return out
 
 
 def between_runs(found: Witnesses, first: int) -> tuple[int, int]:

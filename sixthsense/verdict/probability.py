@@ -16,71 +16,64 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 from sixthsense.verdict.evidence import Evidence, over_window, share, sum_over_window
-from sixthsense.verdict.views import FEWEST, SURFACE
 
 MIRROR_SIGMAS = 4.0
 """by which a mirror wins more often than by chance: in sixteen turns of sixteen"""
+_OVERLAP = 0.5  # share of a scan's returns that those before confirm, below which it is not well tied to them
+_HARDLY = 0.02  # share contradicted
+_MOUNT_M, _MOUNT_RAD = 0.1, 0.05  # of a mount that is off by as much as it may be measured wrong
 _BEYOND = 3.0  # sigmas of wheels in general, beyond which wheels and trajectory disagree
 OFF_M, OFF_RAD = 0.5, np.radians(10.0)
 """by which a pose is off"""
 
-KEYFRAME_FEATURES = ("jump", "step_contradicted", "recent_contradicted", "untied", "old_contradicted", "usual")
-MAP_FEATURES = (
-    "jump", "step_contradicted", "recent_contradicted", "untied", "old_contradicted", "worst_old", "usual", "mount",
-    "mirror", "lag",
-)  # fmt: skip
+OF_KEYFRAMES = ("jump", "cut_contradicted", "recent_contradicted", "untied", "old_contradicted")
+OF_RUN = ("usual", "cut_peak", "mount", "mount_turned", "mirror", "lag")
+KEYFRAME_FEATURES = (*OF_KEYFRAMES, *OF_RUN)
+MAP_FEATURES = (*OF_KEYFRAMES, "recent_in_all", "old_in_all", *OF_RUN)
+"""of the map: the largest of the keyframes', what is contradicted in all, and those of the run"""
 
 
 def keyframe_features(found: Evidence) -> Array:
-    """(K, 6) of `KEYFRAME_FEATURES`, of each keyframe's last 10 m."""
+    """(K, 11) of `KEYFRAME_FEATURES`: of each keyframe's last 10 m, and of the run."""
     travel, off = found.travel, found.wheels
-    sigmas = np.nan_to_num(off.sigmas)
-    worth = (off.off / (OFF_M, OFF_M, OFF_RAD)), sigmas / (OFF_M, OFF_M, OFF_RAD)
-    beyond = np.maximum(np.abs(np.nan_to_num(worth[0])) - _BEYOND * worth[1], 0.0)
+    unit = np.array([OFF_M, OFF_M, OFF_RAD])
+    sigmas = np.nan_to_num(off.sigmas) / unit
+    beyond = np.maximum(np.abs(np.nan_to_num(off.off)) / unit - _BEYOND * sigmas, 0.0)
     jump = np.log1p(sum_over_window(np.sqrt((beyond**2).sum(axis=1)), travel))
-    held = np.nan_to_num(found.recent[:, SURFACE], nan=np.inf)
-    loose = np.clip(1.0 - held / FEWEST, 0.0, 1.0)
-    loose[:1] = 0.0
-    untied = np.log1p(np.sqrt(sum_over_window((loose * worth[1].max(axis=1)) ** 2, travel)))
-    return np.stack(
-        [
-            jump,
-            over_window(share(found.step), travel),
-            np.sqrt(np.nan_to_num(share(sum_over_window(found.recent, travel)))),
-            untied,
-            np.sqrt(np.nan_to_num(share(sum_over_window(found.old, travel)))),
-            np.full(len(travel), usual(found)),
-        ],
-        axis=1,
-    )
+    loose = np.clip(1.0 - np.nan_to_num(found.overlap, nan=1.0) / _OVERLAP, 0.0, 1.0)
+    contradicted = [share(sum_over_window(each, travel)) for each in (found.recent, found.old)]
+    recent, old = (np.sqrt(np.nan_to_num(each)) for each in contradicted)
+    untied = np.log1p(sum_over_window(loose * sigmas.max(axis=1), travel))
+    own = np.stack([jump, over_window(found.cut, travel), recent, untied, old], axis=1)
+    return np.hstack([own, np.broadcast_to(run_features(found), (len(travel), len(OF_RUN)))])
 
 
-def usual(found: Evidence) -> float:
-    """By how much wheels and trajectory disagree in a tenth of the motions at least, log(1 + sigmas)."""
+def run_features(found: Evidence) -> Array:
+    """(6,) of `OF_RUN`."""
     whitened = found.wheels.whitened
-    known = whitened[np.isfinite(whitened)]
-    return float(np.log1p(np.percentile(known, 90))) if len(known) else 0.0
+    whitened = whitened[np.isfinite(whitened)]
+    usual = np.log1p(np.percentile(whitened, 90)) if len(whitened) else 0.0
+    cut = found.cut[np.isfinite(found.cut)]
+    # One place that contradicts much more than others, where all of them hardly do.
+    peak = np.log((cut.max() + _HARDLY) / (np.percentile(cut, 90) + _HARDLY)) if len(cut) else 0.0
+    offset = turned = mirrored = late = 0.0
+    if found.mount is not None:
+        beyond = np.maximum(np.abs(found.mount.offset) - _BEYOND * found.mount.sigmas, 0.0)
+        offset, turned = np.log1p(np.hypot(beyond[0], beyond[1]) / _MOUNT_M), np.log1p(beyond[2] / _MOUNT_RAD)
+    if found.mirror is not None:
+        mirrored = np.log1p(max(0.0, found.mirror.sigmas - MIRROR_SIGMAS))
+    if found.lag is not None:
+        late = abs(found.lag.seconds) * max(found.lag.gain, 0.0)
+    return np.array([usual, peak, offset, turned, mirrored, late], dtype=np.float64)
 
 
 def map_features(found: Evidence, keyframes: Array) -> Array:
-    """(10,) of `MAP_FEATURES`; `keyframes` (K, 6) are those of the keyframes."""
-    largest = keyframes.max(axis=0) if len(keyframes) else np.zeros(len(KEYFRAME_FEATURES))
-    recent, old = (np.sqrt(np.nan_to_num(share(each.sum(axis=0)[None])))[0] for each in _known(found))
-    offset = 0.0
-    if found.mount is not None:
-        beyond = np.maximum(np.abs(found.mount.offset) - _BEYOND * found.mount.sigmas, 0.0)
-        offset = float(np.log1p(np.hypot(beyond[0], beyond[1]) / 0.1 + beyond[2] / 0.1))
-    mirrored = 0.0
-    if found.mirror is not None:
-        mirrored = float(np.log1p(max(0.0, found.mirror.sigmas - MIRROR_SIGMAS)))
-    late = 0.0 if found.lag is None else abs(found.lag.seconds) * max(found.lag.gain, 0.0)
-    return np.array(
-        [largest[0], largest[1], recent, largest[3], old, largest[4], usual(found), offset, mirrored, float(late)]
-    )
-
-
-def _known(found: Evidence) -> tuple[Array, Array]:
-    return np.nan_to_num(found.recent), np.nan_to_num(found.old)
+    """(13,) of `MAP_FEATURES`; `keyframes` (K, 11) are those of the keyframes."""
+    count = len(OF_KEYFRAMES)
+    largest = keyframes[:, :count].max(axis=0) if len(keyframes) else np.zeros(count)
+    in_all = [np.nan_to_num(each).sum(axis=0)[None] for each in (found.recent, found.old)]
+    shares = [float(np.sqrt(np.nan_to_num(share(each)))[0]) for each in in_all]
+    return np.concatenate([largest, shares, run_features(found)])
 
 
 @functools.cache

@@ -25,8 +25,10 @@ FEWEST = 15
 """returns that must be judged for a comparison to say anything"""
 _SURFACE_M, _M_PER_M = 0.12, 0.01  # a return is on a surface nearer than this, and what the heading adds per metre
 _TWICE_M = 0.6  # a wall this much farther away is the same one, drawn twice
-BACK_M = (0.0, 2.0, 5.0, 10.0)
-"""travel before a keyframe at which the keyframes lie that it is compared with, the first being the one before"""
+BACK_M = (2.0, 5.0, 10.0)
+"""travel before a keyframe at which keyframes lie that it is compared with"""
+NEXT = 3
+"""keyframes before each that it is compared with, too"""
 _AROUND_M, _AROUND, _PASSES = 4.0, 40, 4  # how near places of other passes are, how many are looked at, and compared
 APART_M = 10.0
 """of travel between two passes of one place"""
@@ -164,10 +166,12 @@ def recent_pairs(travel: Array) -> NDArray[np.int64]:
     count, pairs = len(travel), []
     own = np.arange(count)
     for back in BACK_M:
-        before = np.minimum(np.searchsorted(travel, travel - back, side="left"), own - 1) if back else own - 1
+        before = np.minimum(np.searchsorted(travel, travel - back, side="left"), own - 1)
         pairs.append(np.stack([before, own], axis=1))
+    pairs += [np.stack([own - back, own], axis=1) for back in range(1, NEXT + 1)]
     found = np.unique(np.concatenate(pairs), axis=0)
-    return np.asarray(found[(found[:, 0] >= 0) & (travel[found[:, 1]] - travel[found[:, 0]] <= BACK_M[-1] + 2.0)])
+    is_near = (travel[found[:, 1]] - travel[found[:, 0]] <= BACK_M[-1] + 2.0) | (np.diff(found)[:, 0] <= NEXT)
+    return np.asarray(found[(found[:, 0] >= 0) & is_near])
 
 
 def old_pairs(trajectory: Array, travel: Array) -> NDArray[np.int64]:

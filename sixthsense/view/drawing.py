@@ -19,6 +19,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.evaluation import metrics
 from sixthsense.figures.plot import (
+    DOUBT,
     ESTIMATE,
     LANDMARK,
     OBSERVATION,
@@ -68,6 +69,7 @@ class Drawing:
             with Path(sink).open("wb"):  # whose error names the file
                 self._stream.save(sink)
         self._cells = b""  # of the grid sent last
+        self._has_doubts = False  # whether some are shown
 
     def begin(self, trace: Trace) -> None:
         """Send the static entities: layout, true walls, colours and names."""
@@ -144,6 +146,7 @@ class Drawing:
         self._landmarks(trace)
         driven = np.array([estimate.pose.position for estimate in trace.key_estimates]).reshape(-1, 2)
         self._lines("map/driven", [driven], ESTIMATE, _THICK)
+        self._doubts(trace)
         if trace.key_truths:
             self._lines("map/true/driven", [np.array(trace.key_truths)[:, :2]], TRUTH, _THIN)
 
@@ -182,6 +185,22 @@ class Drawing:
         self._points("map/landmarks/points", points, LANDMARK, 3.0)
         self._lines("map/landmarks/ellipses", outlines, LANDMARK, _THIN)
         self._lines("map/landmarks/walls", extents, LANDMARK, _THICK)
+
+    def _doubts(self, trace: Trace) -> None:
+        """Send what speaks against the map, where it is to be seen; without a place of its own beside the robot."""
+        verdict = trace.verdict if trace.live is None else trace.live.verdict
+        is_good = verdict is None or verdict.level == "good"
+        if is_good and not self._has_doubts:
+            return
+        self._has_doubts = not is_good
+        places, labels = np.zeros((0, 2)), []
+        if verdict is not None and not is_good:
+            here = np.array(trace.estimates[-1])[:2]
+            told = [(cause.places[0] if len(cause.places) else here, cause.sentence) for cause in verdict.causes]
+            told = told or [(here, str(verdict))]
+            places, labels = np.array([place for place, _ in told]), [words for _, words in told]
+        radius = self._rr.Radius.ui_points(8.0)
+        self._stream.log("map/doubts", self._rr.Points2D(places, labels=labels, colors=_rgb(DOUBT), radii=radius))
 
     def _points(self, path: str, points: Array, color: str, size: float) -> None:
         radius = self._rr.Radius.ui_points(size)

@@ -11,11 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from driven import config as driven_config
+from driven import mirrored
 
 import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.loop.run import run
+from sixthsense.sources.logs.log import Log
 
 pytest.importorskip("rerun")
 
@@ -159,3 +162,10 @@ def test_a_run_continues_after_its_viewer_is_closed(tmp_path, monkeypatch):
         trace = run(preset(scene="rectangle", max_time=1.0), view)
     assert trace.estimates
     assert time.monotonic() - began < 60.0
+
+
+def test_what_speaks_against_the_map_is_shown(tmp_path):
+    with ss.View(tmp_path / "run.rrd") as view:
+        made = ss.replay(Log(mirrored()), driven_config(), on_tick=view, progress=False)
+        view.finish()
+    assert made.verdict.level == "broken" and rows(tmp_path / "run.rrd")["/map/doubts"] == 1

@@ -1,0 +1,148 @@
+"""What scans say of each other, and what explains a disagreement of wheels and trajectory, on inputs drawn by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from driven import config, ticks
+
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import between, compose
+from sixthsense.verdict.disagreement import disagreement, lag, mount, turns
+from sixthsense.verdict.evidence import over_window, share, sum_over_window
+from sixthsense.verdict.views import (
+    ALL,
+    SURFACE,
+    THROUGH,
+    TWICE,
+    beyond_m,
+    compared,
+    old_pairs,
+    recent_pairs,
+    travelled,
+    views_of,
+)
+
+MOUNT = Pose(0.13, -0.07, 0.3)
+RNG = np.random.default_rng(5)
+
+
+def wall(distance_m, beams=61, fov=1.4, max_range=8.0):
+    """A scan of a wall across the laser's x axis."""
+    bearings = np.linspace(-0.5 * fov, 0.5 * fov, beams)
+    ranges = (distance_m / np.cos(bearings)).astype(np.float32)
+    ranges[ranges >= max_range] = np.inf
+    return Scan(ranges, np.float32(-0.5 * fov), np.float32(fov / (beams - 1)), max_range, MOUNT)
+
+
+@pytest.mark.parametrize(("x", "y", "beyond"), [
+    (3.1, 0.4, 0.0), (2.2, 0.3, 0.9), (2.2, -1.3, 0.9), (3.9, 0.4, -1.0), (-3.1, 0.4, -1.0), (0.4, 2.9, -1.0),
+    (3.0, 0.2, 0.0), (2.88, 0.2, -1.0),
+])  # fmt: skip
+def test_a_place_is_a_surface_seen_through_or_not_to_be_told(x, y, beyond):
+    """A place before the wall is seen through by the way along its beam; one behind, outside or too near is not."""
+    found = beyond_m(views_of([wall(3.1)]), 0, x, y)
+    expected = beyond if beyond <= 0.0 else math.hypot(x, y) * 3.1 / x - math.hypot(x, y)
+    assert found == pytest.approx(expected, abs=0.08 if beyond > 0.0 else 1e-12)
+
+
+def test_a_beam_without_a_return_tells_nothing():
+    assert beyond_m(views_of([wall(9.5)]), 0, 4.0, 0.2) == -1.0
+
+
+@pytest.mark.parametrize(("off_m", "column"), [(0.02, SURFACE), (0.45, TWICE), (1.2, THROUGH)])
+def test_a_wall_that_is_seen_from_two_poses_is_confirmed_drawn_twice_or_seen_through(off_m, column):
+    """The second scan is taken 0.7 m nearer to the wall; its pose is off along the wall's normal."""
+    views = views_of([wall(3.1), wall(2.4)])
+    first = Pose(1.2, -0.8, 0.9)
+    second = first @ MOUNT @ Pose(0.7 - off_m, 0.0) @ MOUNT.inverse()
+    found = compared(views, np.array([first.array(), second.array()]), np.array([[0, 1]]))[0]
+    assert found[ALL] == 120 and found[column] > 45
+    assert (found[TWICE] > 0) == (column == TWICE) and (found[THROUGH] > 0) == (column != SURFACE)
+    assert found[TWICE] <= found[THROUGH]
+
+
+def test_a_closed_fan_has_a_beam_behind_its_last():
+    ranges = np.full(90, 4.0, np.float32)
+    views = views_of([Scan(ranges, np.float32(-math.pi), np.float32(math.tau / 90), 9.0)])
+    assert beyond_m(views, 0, -2.5, -0.01) == pytest.approx(1.5, abs=1e-3) and beyond_m(views, 0, -4.0, 0.01) == 0.0
+
+
+def test_keyframes_are_compared_with_those_of_the_last_metres_and_of_other_passes():
+    """A way of 30 m to and fro: the pairs by plain search."""
+    x = np.concatenate([np.arange(0.0, 15.0, 0.5), np.arange(14.9, 0.0, -0.5)])
+    trajectory = np.stack([x, np.full_like(x, 0.7), np.where(np.arange(len(x)) < 30, 0.0, math.pi - 0.1)], axis=1)
+    travel = travelled(trajectory)
+    assert travel[29] == pytest.approx(14.5) and travel[-1] > 29.0
+    recent = recent_pairs(travel)
+    back = travel[recent[:, 1]] - travel[recent[:, 0]]
+    assert np.all(back > 0.0) and back.max() <= 12.0 and set(range(1, 30)) <= set(recent[:, 1].tolist())
+    old = old_pairs(trajectory, travel)
+    assert len(old) and np.all(travel[old[:, 1]] - travel[old[:, 0]] > 10.0)
+    assert np.all(np.abs(x[old[:, 0]] - x[old[:, 1]]) <= 4.0)
+    assert {0, 5, 10} <= set(old[:, 0].tolist())
+
+
+def motions(count=60):
+    """(count, 3) steps of a robot that drives and turns, and its trajectory."""
+    steps = np.stack([RNG.uniform(0.1, 0.4, count), np.zeros(count), RNG.uniform(-0.5, 0.5, count)], axis=1)
+    poses = [np.array([0.4, -1.2, 0.8])]
+    for step in steps:
+        poses.append(compose(poses[-1], step))
+    return np.array(poses)
+
+
+@pytest.mark.parametrize("off", [(0.31, -0.12, 0.0), (-0.2, 0.25, 0.15), (0.0, 0.0, 0.0)])
+def test_the_mount_is_found_from_motions_of_wheels_and_scans_with_the_scale_of_the_wheels(off):
+    """The trajectory is of a robot whose laser is believed `off` beside its place; wheels count 4 % too little."""
+    robot = motions()
+    path = compose(robot, np.array([off]))
+    steps = between(robot[:-1], robot[1:]) * (1.0 / 1.04, 1.0 / 1.04, 1.0)
+    wheels = [robot[0]]
+    for step in steps:
+        wheels.append(compose(wheels[-1], step))
+    found = mount(disagreement(np.array(wheels), path, np.ones(len(path), dtype=np.bool_)))
+    assert found is not None
+    assert found.offset[:2] == pytest.approx(off[:2], abs=0.02 + 0.1 * abs(off[2]))
+    assert found.offset[2] == pytest.approx(off[2], abs=0.02) and found.scale == pytest.approx(1.04, abs=0.02)
+
+
+def test_turns_that_are_against_the_wheels_have_a_slope_of_minus_one():
+    robot = motions()
+    mirrored = np.array(robot) * (1.0, -1.0, -1.0)
+    known = np.ones(len(robot), dtype=np.bool_)
+    assert turns(disagreement(robot, mirrored, known)).slope == pytest.approx(-1.0)
+    assert turns(disagreement(robot, robot, known)).slope == pytest.approx(1.0)
+    assert turns(disagreement(robot, robot, ~known)) is None
+
+
+@pytest.mark.parametrize("late_s", [-1.2, 0.6, 2.1])
+def test_a_delay_between_scans_and_wheels_is_found_with_its_sign(late_s):
+    times = np.arange(0.0, 90.0, 0.1)
+    heading = np.cumsum(0.08 * np.sin(0.7 * times) * (np.sin(0.13 * times) > 0.0))
+    poses = np.stack([times, times, heading], axis=1)
+    wheels = poses.copy()
+    wheels[:, 2] = np.interp(times + late_s, times, heading)
+    found = lag(times, wheels, poses)
+    assert found.seconds == pytest.approx(late_s, abs=0.11) and found.gain > 0.8
+    assert lag(times, poses, poses).seconds == 0.0
+
+
+def test_shares_and_windows_are_those_of_plain_sums():
+    found = np.array([[30.0, 10.0, 4.0, 90.0], [9.0, 1.0, 1.0, 20.0]])
+    assert share(found)[0] == 0.25 and share(found, TWICE)[0] == 0.1 and math.isnan(share(found)[1])
+    travel, values = np.array([0.0, 4.0, 9.0, 13.0, 30.0]), np.array([2.0, 7.0, math.nan, 3.0, 1.0])
+    assert over_window(values, travel).tolist() == [2.0, 7.0, 7.0, 7.0, 1.0]
+    assert sum_over_window(values, travel).tolist() == [2.0, 9.0, 9.0, 10.0, 1.0]
+
+
+def test_a_scan_seen_in_a_mirror_is_itself_when_it_is_seen_in_one_again():
+    scan = ticks()[4].scan
+    assert scan is not None and config().laser.mirrored is False
+    once = scan.mirrored()
+    points, seen = scan.points_robot, once.points_robot
+    laser = scan.T_robot_laser.inverse()
+    returned = np.isfinite(scan.ranges)
+    assert (laser @ seen[::-1][returned]) == pytest.approx((laser @ points[returned]) * (1.0, -1.0), abs=2e-5)
+    assert np.array_equal(once.mirrored().ranges, scan.ranges)
