@@ -18,6 +18,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.effective import LEAST_SAMPLES
+from sixthsense.figures.canvas import in_millimetres
 from sixthsense.figures.overtime import BAND, draw_tube
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH, new_figure
 
@@ -216,6 +217,8 @@ def _drawn(runs: Sequence[Errors], found: Findings, frame: Frame, title: str) ->
     _draw_nees(picture.add_subplot(grid[: len(names), 1]), runs, found)
     _draw_quantiles(picture.add_subplot(grid[len(names) :, 1]), runs, found)
     picture.suptitle(title, fontsize=11.0)
+    for ax in picture.axes:
+        in_millimetres(ax)
     return picture
 
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 WIDTH_IN = 11.0
 """of most figures"""
 
+_SHORT_M = 0.1  # lengths below are read in millimetres
+
 
 class Canvas:
     """A picture that is made when its panels are asked for, or the caller's axes in its place."""
@@ -59,7 +61,13 @@ class Canvas:
         return self.given
 
     def entitle(self, title: str, subtitle: str = "") -> None:
-        """Write the title over the picture; on the caller's axes a short one over the first, if it has none."""
+        """End a figure: write the title over the picture, on the caller's axes a short one over the first without one.
+
+        Short lengths are in millimetres from then on.
+        """
+        drawn = self.given if self.picture is None else self.picture.axes
+        for ax in drawn or ():
+            in_millimetres(ax)
         if self.given is None:
             assert self.picture is not None
             self.picture.suptitle(f"{title}\n{subtitle}" if subtitle else title, fontsize=10.5 if subtitle else 12.0)
@@ -85,6 +93,14 @@ class Canvas:
             return
         names = [name for ax in panels for name in ax.get_legend_handles_labels()[1]]
         legend(self.picture, max(1, min(5, 130 // (max(map(len, names), default=0) + 8))))
+
+
+def in_millimetres(ax: Any) -> None:
+    """Label the vertical axis in millimetres, if it is one of metres and all of it is below 0.1 m."""
+    label, most = ax.get_ylabel(), max(map(abs, ax.get_ylim()))
+    if label.endswith("[m]") and label != "y [m]" and most < _SHORT_M:
+        ax.set_ylabel(label.removesuffix("[m]") + "[mm]")
+        ax.yaxis.set_major_formatter(lambda value, _: f"{1e3 * value:.4g}".replace("-", "\N{MINUS SIGN}"))
 
 
 def _axes(ax: Any) -> list[Any]:

@@ -170,8 +170,9 @@ def recent_pairs(travel: Array) -> NDArray[np.int64]:
         pairs.append(np.stack([before, own], axis=1))
     pairs += [np.stack([own - back, own], axis=1) for back in range(1, NEXT + 1)]
     found = np.unique(np.concatenate(pairs), axis=0)
+    found = found[found[:, 0] >= 0]
     is_near = (travel[found[:, 1]] - travel[found[:, 0]] <= BACK_M[-1] + 2.0) | (np.diff(found)[:, 0] <= NEXT)
-    return np.asarray(found[(found[:, 0] >= 0) & is_near])
+    return np.asarray(found[is_near])
 
 
 def old_pairs(trajectory: Array, travel: Array) -> NDArray[np.int64]:

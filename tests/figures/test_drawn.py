@@ -22,6 +22,7 @@ from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.evaluation.noise import LandmarkErrors, PropagationErrors
 from sixthsense.evaluation.results import Metrics
 from sixthsense.figures import calibration, groups, plot
+from sixthsense.figures.canvas import in_millimetres
 from sixthsense.figures.navigation import draw_path, draw_robot, draw_seen
 from sixthsense.figures.overtime import draw_stages
 from sixthsense.figures.report import page
@@ -208,3 +209,16 @@ def test_a_page_of_two_runs_has_the_metrics_of_each_and_of_one_run_its_settings_
     assert '<td class="value">0.1235</td><td class="value">7.25</td><td>m</td>' in text
     assert '<td class="value"></td><td class="value">3</td>' in text
     assert "laser.fov</td>" in page([one], {}) and ">3.9</td>" in page([one], {})
+
+
+@pytest.mark.parametrize(
+    ("label", "high", "told", "tick"),
+    [("error of x [m]", 0.083, "error of x [mm]", "\N{MINUS SIGN}12.5"),
+     ("error of x [m]", 0.13, "error of x [m]", None), ("error of heading [°]", 0.083, "error of heading [°]", None),
+     ("y [m]", 0.083, "y [m]", None)],
+)  # fmt: skip
+def test_short_lengths_are_told_in_millimetres(label: str, high: float, told: str, tick: str | None) -> None:
+    ax = plot.new_figure(4.0, 3.0).add_subplot()
+    ax.set(ylabel=label, ylim=(-0.031, high))
+    in_millimetres(ax)
+    assert ax.get_ylabel() == told and (tick is None or ax.yaxis.get_major_formatter()(-0.0125, 0) == tick)
