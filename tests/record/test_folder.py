@@ -20,7 +20,7 @@ RUN = ("run", "rectangle", "--task", "tour", "--max-time", "2")
 FILES = [
     "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz", "grid.npz",
     "landmarks.csv", "landmarks.npz", "map.pgm", "map.yaml", "metrics.json", "record.jsonl", "record.npz",
-    "smoothed.tum", "truth.tum",
+    "smoothed.tum", "truth.tum", "verdict.json",
 ]  # fmt: skip
 
 
