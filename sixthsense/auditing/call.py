@@ -17,6 +17,7 @@ from sixthsense.auditing.pairing import (
     same_space,
     time_offset_s,
 )
+from sixthsense.auditing.pairs import Hat, pair_findings, three_cornered_hat
 from sixthsense.auditing.poses import Frame, Poses
 from sixthsense.auditing.result import Audit, axis_notes, read_as
 from sixthsense.auditing.statistics import findings, is_other_frame
@@ -36,23 +37,29 @@ class _Compared:
     notes: tuple[str, ...]
 
 
+_ORDINALS = ("first", "second", "third")  # names of systems that are arrays
+
+
 def audit(
     estimate: Source | list[Source],
     truth: Source | list[Source] | None = None,
     *,
+    pair: Source | list[Source] | None = None,
     covariance: str | Path | list[str | Path] | None = None,
     topic: str = "",
+    pair_topic: str = "",
     truth_topic: str = "",
     truth_frames: tuple[str, str] | None = None,
     frame: Frame | None = None,
     order: Order = "translation",
-    align: Align = "none",
+    align: Align | None = None,
     time_offset: float | None = None,
 ) -> Audit:
     """Audit the covariances of any system: whether its errors against the truth are as large as it says.
 
         print(ss.audit("localization.mcap", "truth.tum", topic="/amcl_pose", align="all"))
         ss.audit((stamps_s, poses, covariances), (truth_stamps_s, truth_poses)).plot()
+        print(ss.audit("cartographer.mcap", pair="amcl.mcap").verdict)
 
     Parameters
     ----------
@@ -62,17 +69,22 @@ def audit(
         (N, 6, 6). A list of them is pooled as independent runs.
     truth
         A bag, a TUM file, the folder of a run, a run, or arrays; a list for a list. By default that of the run.
+    pair
+        Without a truth: another system on the same drive, with covariances, in the forms of `estimate`; or two of them,
+        so that each one's own factor can be told. At least one is overconfident if they differ by more than their
+        covariances allow.
     covariance
-        With a TUM file: the file with a stamp and the 6 or 21 numbers of the upper triangle in each line.
-    topic, truth_topic, truth_frames
+        With a TUM file: the file with a stamp and the 6 or 21 numbers of the upper triangle in each line. With `pair` a
+        list, that of the estimate first.
+    topic, pair_topic, truth_topic, truth_frames
         In bags; by default the only topic with poses. "/tf" as truth takes the names of parent and child.
     frame
         "world", the default: the axes of the parent frame, as ROS has it; "body": those of the body.
     order
         "translation" or "rotation": which comes first in a covariance.
     align
-        "none"; "first": the first pose becomes the true one, and its covariance counts; "all": the motion with the
-        least sum of NEES, whose degrees of freedom are taken off.
+        "none", the default without `pair`; "first": the first pose becomes the true one, and its covariance counts;
+        "all", the default with `pair`: the motion with the least sum of NEES, whose degrees of freedom are taken off.
     time_offset
         Search an offset of the stamps up to so many seconds, where the mean NEES is least.
 
@@ -82,8 +94,17 @@ def audit(
         In one line, for files that cannot be read, covariances that are none, and poses that cannot be compared.
 
     """
-    options = Options(topic, truth_topic, truth_frames, frame, order, align, time_offset)
-    runs = [_compared(*one, options) for one in _matched(estimate, truth, covariance)]
+    options = Options(topic, pair_topic, truth_topic, truth_frames, frame, order, align, time_offset)
+    if pair is not None:
+        if truth is not None or isinstance(estimate, list):
+            raise InputError("pair", "found beside a truth or several estimates", "one estimate, and no truth")
+        return _audit_pair([estimate, *(pair if isinstance(pair, list) else [pair])], covariance, options)
+    return _audit_truth([_compared(*one, options) for one in _matched(estimate, truth, covariance)], options)
+
+
+def _audit_truth(runs: list[_Compared], options: Options) -> Audit:
+    """The audit of runs beside their truths, which are pooled."""
+    align = options.align or "none"
     own, other = [run.errors for run in runs], [run.other for run in runs]
     if len({run.error.shape[1] for run in own}) > 1:
         raise InputError("estimate", "found runs in the plane and in space", "all in one of them")
@@ -93,7 +114,7 @@ def audit(
     notes = [f"{run.estimate.name}: {note}" if several else note for run in runs for note in run.notes]
     notes += [*axis_notes(found), *_other_frame(own, other, align, read)]
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
-    words = read_as(read, found.dof, order, frame is None and bool(first.frames[0]))
+    words = read_as(read, found.dof, options.order, options.frame is None and bool(first.frames[0]))
     offsets = tuple(run.offset_s for run in runs if run.offset_s is not None) or None
     return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes))
 
@@ -122,15 +143,55 @@ def _compared(source: Source, true: Source | None, covariance: Path | None, opti
     frame: Frame = estimate.frame or "world"
     estimate = replace(estimate, frame=frame)
     truth = open_truth(true, estimate, source, options)
+    return _side_by_side(estimate, truth, options.align or "none", options)
+
+
+def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options) -> _Compared:
+    frame: Frame = estimate.frame or "world"
     offset_s = None
     if options.time_offset is not None:
         plain = same_space(estimate, truth)
-        offset_s = time_offset_s(plain[0], plain[1], options.time_offset, options.align, frame)
+        offset_s = time_offset_s(plain[0], plain[1], options.time_offset, align, frame)
     pair = paired(estimate, truth, round(1e9 * (offset_s or 0.0)))
     check_is_not_the_truth(pair)
-    motion = aligned(pair, options.align, frame)
-    own, other = (errors_of(pair, motion, options.align, one) for one in (frame, _other(frame)))
-    return _Compared(estimate, truth, own, other, offset_s, pair.notes)
+    motion = aligned(pair, align, frame)
+    own, other = (errors_of(pair, motion, align, one) for one in (frame, _other(frame)))
+    return _Compared(estimate, pair.truth, own, other, offset_s, pair.notes)
+
+
+def _audit_pair(sources: list[Source], covariance: str | Path | list[str | Path] | None, options: Options) -> Audit:
+    """The audit of two systems, or three, by each other."""
+    if len(sources) not in (2, 3):
+        raise InputError("pair", f"found {len(sources) - 1}", "one system or two")
+    align = options.align or "all"
+    if align == "first":
+        raise InputError("align", "found first with `pair`", "none or all")
+    of_pair = replace(options, topic=options.pair_topic or options.topic)
+    systems = [
+        replace(found, frame=found.frame or "world", name=_ORDINALS[k] if found.name == "estimate" else found.name)
+        for k, (source, _, file) in enumerate(_matched(sources, None, covariance))
+        for found in [open_estimate(source, file, of_pair if k else options)]
+    ]
+    first = _side_by_side(systems[0], systems[1], align, options)
+    read: Frame = systems[0].frame or "world"
+    found = findings([first.errors], align, read)
+    assert first.errors.of_estimate is not None
+    hats = () if len(systems) == 2 else _hats(systems, align, options)
+    judged = pair_findings(found, first.errors, first.errors.of_estimate, first.truth.positions, hats)
+    words = read_as(read, found.dof, options.order, options.frame is None and bool(systems[0].frames[0]))
+    names = systems[0].name, " and ".join(system.name for system in systems[1:])
+    offsets = None if first.offset_s is None else (first.offset_s,)
+    return Audit(found, (first.errors,), read, align, words, names, offsets, first.notes, judged)
+
+
+def _hats(systems: list[Poses], align: Align, options: Options) -> tuple[Hat, ...]:
+    """The factors of three systems, from the differences of two from the first at the stamps that all have."""
+    at_second = paired(systems[1], systems[2]).truth
+    second, third = (_side_by_side(one, systems[0], align, options).errors for one in (systems[1], at_second))
+    second, third = second.at(third.stamps_ns), third.at(second.stamps_ns)
+    assert second.of_estimate is not None and third.of_estimate is not None
+    covs = second.cov - second.of_estimate, second.of_estimate, third.of_estimate
+    return three_cornered_hat(second, third, covs)
 
 
 def _other_frame(own: Sequence[Errors], other: Sequence[Errors], align: Align, frame: Frame) -> list[str]:

@@ -38,6 +38,8 @@ class Options:
 
     topic: str = ""
     """of the estimate in a bag; by default the only one with covariances"""
+    pair_topic: str = ""
+    """the same of the other systems; by default as `topic`"""
     truth_topic: str = ""
     """of the truth in a bag: a topic of poses, or /tf"""
     truth_frames: tuple[str, str] | None = None
@@ -46,13 +48,13 @@ class Options:
     """whose axes the covariances have; by default that of the format, and else the world's"""
     order: Order = "translation"
     """which half of a covariance is first"""
-    align: Align = "none"
-    """how the estimate is brought into the frame of the truth"""
+    align: Align | None = None
+    """how the estimate is brought into the frame of the truth; by default not, and by all poses into that of a pair"""
     time_offset: float | None = None
     """largest offset of the stamps to search, s; None: none is searched"""
 
     def __post_init__(self) -> None:
-        for name, known in (("frame", Frame | None), ("order", Order), ("align", Align)):
+        for name, known in (("frame", Frame | None), ("order", Order), ("align", Align | None)):
             checked(name, known, getattr(self, name))
         offset = self.time_offset
         if offset is not None and not (isinstance(offset, (int, float)) and 0.0 < offset <= 1e6):

@@ -33,7 +33,7 @@ class Pair:
     estimate: Poses
     """with covariances of full rank, in the axes of `estimate.frame`"""
     truth: Poses
-    """of the same stamps"""
+    """of the same stamps; with covariances where it is another estimate"""
     notes: tuple[str, ...] = ()
     """what the user should know, a line each"""
 
@@ -52,6 +52,17 @@ class Errors:
     """(N, n, n) estimated, from the axes of the body to those of the world"""
     shared: float = 0.0
     """share of the variance of the mean that one draw, the first pose, has; 0 without alignment by it"""
+    of_estimate: Array | None = None
+    """(N, d, d) part of the covariance that is the estimate's own: another estimate has one, too"""
+
+    def at(self, stamps_ns: NDArray[np.int64]) -> Errors:
+        """Those of the poses that have one of these stamps."""
+        rows = np.isin(self.stamps_ns, stamps_ns)
+        own = None if self.of_estimate is None else self.of_estimate[rows]
+        return replace(
+            self, stamps_ns=self.stamps_ns[rows], error=self.error[rows], cov=self.cov[rows],
+            orientations=self.orientations[rows], of_estimate=own,
+        )  # fmt: skip
 
     @property
     def nees(self) -> Array:
@@ -68,7 +79,7 @@ class Errors:
 
 def same_space(estimate: Poses, truth: Poses) -> tuple[Poses, Poses, list[str]]:
     """Both in the plane or both in space, and a note that says why it is the plane."""
-    reason = is_of_plane(estimate)
+    reason = is_of_plane(estimate) or (is_of_plane(truth) if truth.covs is not None else "")
     if not reason and truth.is_planar:
         reason = "the truth is planar"
     if not reason:
@@ -103,6 +114,10 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
         | (truth.stamps_ns[after - 1] == at)
     )
     defined = has_full_rank(estimate.covs)
+    covs = None
+    if truth.covs is not None:
+        covs = truth.covs[np.where(at - truth.stamps_ns[after - 1] < truth.stamps_ns[after] - at, after - 1, after)]
+        defined &= has_full_rank(covs)
     used = known & defined
     for count, why in (
         (int(np.sum(~inside)), "before or after the truth"),
@@ -118,9 +133,11 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
         )
     estimate = estimate.part(used)
     positions, orientations = interpolated(truth, at[used])
-    return Pair(
-        estimate, replace(truth, stamps_ns=at[used], positions=positions, orientations=orientations), tuple(notes)
-    )
+    beside = replace(
+        truth, stamps_ns=at[used], positions=positions, orientations=orientations,
+        covs=None if covs is None else covs[used],
+    )  # fmt: skip
+    return Pair(estimate, beside, tuple(notes))
 
 
 def aligned(pair: Pair, align: Align, frame: Frame) -> Motion:
@@ -226,5 +243,8 @@ def _errors(pair: Pair, motion: Motion, frame: Frame) -> Errors:
     places = estimate.positions @ turn.T + shift - pair.truth.positions
     turned = rotations.log(orientations @ rotations.transposed(pair.truth.orientations))
     axes = rotations.axes(orientations if frame == "body" else turn[None])
-    cov = axes @ covs @ rotations.transposed(axes)
-    return Errors(estimate.stamps_ns, np.concatenate([places, turned], axis=1), cov, orientations)
+    cov = own = axes @ covs @ rotations.transposed(axes)
+    if pair.truth.covs is not None:
+        beside = rotations.axes(pair.truth.orientations if pair.truth.frame == "body" else np.eye(len(shift))[None])
+        cov = own + beside @ pair.truth.covs @ rotations.transposed(beside)
+    return Errors(estimate.stamps_ns, np.concatenate([places, turned], axis=1), cov, orientations, of_estimate=own)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.auditing.pairing import Align, Errors
+from sixthsense.auditing.pairs import LEAST_OF_A_PAIR, PairFindings
 from sixthsense.auditing.poses import Frame
 from sixthsense.auditing.statistics import AXES, Factor, Findings, Outcome, factor
 from sixthsense.config.errors import InputError
@@ -60,19 +61,24 @@ class Audit:
     """seconds added to the stamps of each estimate; None if no offset was searched"""
     notes: tuple[str, ...]
     """what a user should know, a line each"""
+    pair: PairFindings | None = None
+    """what two systems say of each other, without a truth; `findings` are then those of their differences"""
 
     @property
     def outcome(self) -> Outcome:
-        """consistent, overconfident, cautious, or no verdict."""
-        return self.findings.outcome
+        """consistent, overconfident, cautious, or no verdict; of a pair whether at least one of the two is."""
+        return self.findings.outcome if self.pair is None else self.pair.outcome
 
     @property
     def verdict(self) -> str:
         """The answer in one sentence."""
-        return _sentence(self.findings)
+        return _sentence(self.findings) if self.pair is None else _pair_sentence(self.findings, self.pair, self.names)
 
     def __repr__(self) -> str:
         rows = [("covariance", self.read_as), *_lines(self.findings, self.align, self.names)]
+        if self.pair is not None:
+            rows = [("pair" if label == "truth" else label, text) for label, text in rows]
+            rows += _pair_lines(self.pair, self.names)
         if self.time_offset_s is not None:
             shown = ", ".join(f"{1e3 * offset:+.1f} ms" for offset in self.time_offset_s)
             rows.append(("time offset", f"{shown} added to the stamps of the estimate"))
@@ -85,10 +91,12 @@ class Audit:
         known: dict[str, Any] = _finite(
             {
                 "verdict": self.verdict, "outcome": self.outcome, "read_as": self.read_as, "frame": self.frame,
-                "align": self.align, "estimate": self.names[0], "truth": self.names[1],
+                "align": self.align, "estimate": self.names[0], "truth": self.names[1], "pair": None,
                 "time_offset_s": self.time_offset_s, "runs": len(self.runs), **numbers, "notes": self.notes,
             }
         )  # fmt: skip
+        if self.pair is not None:
+            known |= {"truth": None, "pair": _finite(asdict(self.pair)) | {"name": self.names[1]}}
         return known
 
     def save(self, file: str | Path) -> None:
@@ -129,8 +137,12 @@ def _sentence(found: Findings) -> str:
     return f"{outcome}: errors are {_short(low)} to {_short(high)} times the stated sigmas{where}"
 
 
+def _worth(poses: int, samples: float) -> str:
+    return f"{poses:,} poses are worth {_short(samples)} independent ones"
+
+
 def _reason(found: Findings) -> str:
-    worth = f"{found.poses:,} poses are worth {_short(found.samples)} independent ones, {LEAST_SAMPLES:.0f} are needed"
+    worth = f"{_worth(found.poses, found.samples)}, {LEAST_SAMPLES:.0f} are needed"
     if found.shared * found.samples > _SURE:
         return f"{worth}: all depend on the first pose; align by all poses"
     if found.nees > float(chi_square_quantile(0.999, found.dof)):
@@ -139,6 +151,40 @@ def _reason(found: Findings) -> str:
             "frame (align by all poses), a time offset, or a mount"
         )
     return f"{worth}: errors last too long for so short a time; audit more or longer runs"
+
+
+def _pair_sentence(found: Findings, pair: PairFindings, names: tuple[str, str]) -> str:
+    """What two systems say of each other in one sentence."""
+    first, second = (Path(name.split()[0]).name for name in names)
+    first, second = (f"the {name}" if name in ("first", "second") else name for name in (first, second))
+    if pair.outcome == "no verdict":
+        return f"no verdict: {_worth(found.poses, pair.samples)}, {LEAST_OF_A_PAIR:.0f} are needed"
+    if pair.outcome == "consistent":
+        return "consistent: the two differ by as much as both covariances allow; an error that both share is not seen"
+    if pair.outcome == "cautious":
+        low = math.sqrt(found.factor.value)
+        return (
+            f"the two differ by {_short(low)} times what independent systems would: at least one is cautious, or their "
+            "errors depend on each other"
+        )
+    each = [_short(times) for times in pair.if_other_honest]
+    return (
+        f"at least one is overconfident by {_short(pair.least)} or more: if {second} is honest, {first} by {each[0]}; "
+        f"if {first} is, {second} by {each[1]}"
+    )
+
+
+def _pair_lines(pair: PairFindings, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
+    """Label and text of what is told of a pair alone."""
+    told = ", ".join(f"{100.0 * chance:.0f} % for {times:g} times" for times, chance in pair.power.items())
+    yield "power", f"one whose errors are larger than its sigmas is told with {told} (simulated)"
+    ratios = ", ".join(f"{_short(seconds)} s {_short(ratio)}" for seconds, ratio in pair.horizons)
+    yield "horizons", f"differences of motions over what independent ends allow: {ratios}"
+    for name, hat in zip((names[0], *names[1].split(" and ")), pair.hats, strict=False):
+        low, high = hat.interval
+        negative = "; negative: the other two depend on each other" if high < 0.0 else ""
+        yield "own factor", f"{name}: {hat.factor:.2f} ({low:.2f} to {high:.2f}), three-cornered hat{negative}"
+    yield "dependence", "errors that both share, as by one odometry or the same scans, cancel: they hide, never feign"
 
 
 def _where(found: Findings) -> str:

@@ -35,10 +35,15 @@ class Audit(Options):
     pooled as independent runs."""
     truth: Annotated[tuple[str, ...], arg("FILE ...")] = ()
     """Bag, TUM file or folder of a run, one for each estimate. By default that of the run."""
+    pair: Annotated[tuple[str, ...], arg("FILE ...")] = ()
+    """Without a truth: another system on the same drive, or two, in the forms of ESTIMATE."""
     covariance: Annotated[tuple[str, ...], arg("FILE ...")] = ()
-    """Covariances of TUM files: in each line a stamp and the 6 or 21 numbers of the upper triangle."""
+    """Covariances of TUM files: in each line a stamp and the 6 or 21 numbers of the upper triangle. With --pair one for
+    each system, the estimate's first."""
     topic: str = ""
     """Topic of the estimate in a bag, if there are several."""
+    pair_topic: str = ""
+    """Topic of the other systems; by default as --topic."""
     truth_topic: str = ""
     """Topic of the truth in a bag: one of poses, or /tf."""
     truth_frames: Annotated[tuple[str, str] | None, arg("PARENT CHILD")] = None
@@ -47,9 +52,9 @@ class Audit(Options):
     """Whose axes the covariances have; by default the world's, as ROS has it."""
     order: Literal["translation", "rotation"] = "translation"
     """Which comes first in a covariance."""
-    align: Literal["none", "first", "all"] = "none"
-    """first: the first pose becomes the true one, and its covariance counts. all: by all poses, the degrees of freedom
-    are taken off."""
+    align: Literal["none", "first", "all"] | None = None
+    """none, the default without --pair. first: the first pose becomes the true one, and its covariance counts. all: by
+    all poses, the degrees of freedom are taken off."""
     time_offset: Annotated[
         Annotated[float, Range(0.0, open_low=True)] | None,
         arg("[S]"),
@@ -74,11 +79,14 @@ class Audit(Options):
         _check_outputs(options)
         from sixthsense.auditing.call import audit
 
+        is_pair = bool(options.pair) and len(options.estimate) == 1
         found = audit(
-            list(options.estimate),
+            options.estimate[0] if is_pair else list(options.estimate),
             list(options.truth) or None,
+            pair=list(options.pair) or None,
             covariance=list(options.covariance) or None,
             topic=options.topic,
+            pair_topic=options.pair_topic,
             truth_topic=options.truth_topic,
             truth_frames=options.truth_frames,
             frame=options.frame,

@@ -1,0 +1,158 @@
+"""Two systems without a truth: what is told of errors drawn from known covariances, and how often."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+import sixthsense as ss
+from sixthsense.auditing.pairs import power
+from sixthsense.cli import main
+from sixthsense.config.errors import InputError
+
+COV = np.array([[64.0, 8.0, 0.0], [8.0, 9.0, 1.0], [0.0, 1.0, 1.0]]) * 1e-4
+OTHER = np.array([[20.0, -6.0, 1.0], [-6.0, 40.0, 0.5], [1.0, 0.5, 2.0]]) * 1e-4
+
+
+def errors(rng, count, rho=0.0, cov=COV):
+    """AR(1) errors of a covariance."""
+    white = rng.standard_normal((count, 3))
+    white[1:] *= math.sqrt(1.0 - rho**2)
+    return lfilter([1.0], [1.0, -rho], white, axis=0) @ np.linalg.cholesky(cov).T
+
+
+def truth(count):
+    stamps = 300.0 / count * np.arange(count) + 5.0
+    heading = 0.05 * stamps + 0.3
+    return stamps, np.column_stack([8.0 * np.sin(heading), 2.0 - 8.0 * np.cos(heading), heading])
+
+
+def system(count, error, cov=COV):
+    stamps, poses = truth(count)
+    return stamps, poses + error, np.broadcast_to(cov, (count, 3, 3))
+
+
+def moved(system, motion):
+    """The same system in a frame of its own, `motion` from it; covariances turn with it."""
+    stamps, poses, covs = system
+    T, turn = ss.Pose(*motion), np.eye(3)
+    turn[:2, :2] = [[math.cos(motion[2]), -math.sin(motion[2])], [math.sin(motion[2]), math.cos(motion[2])]]
+    return stamps, np.array([(T @ ss.Pose(*pose)).array() for pose in poses]), turn @ covs @ turn.T
+
+
+def pair(seed, times, count=30, rho=0.0):
+    rng = np.random.default_rng(seed)
+    first, second = (system(count, one) for one in (times * errors(rng, count, rho), errors(rng, count, rho)))
+    return ss.audit(first, pair=moved(second, (3.0, -2.0, 0.8)))
+
+
+def test_a_system_whose_errors_are_twice_its_sigmas_is_told_by_thirty_poses_of_another():
+    found = [pair(seed, 2.0) for seed in range(25)]
+    assert sum(one.outcome == "overconfident" for one in found) >= 24
+    assert np.mean([one.pair.least for one in found]) == pytest.approx(math.sqrt(2.5 / 1.3), abs=0.12)
+
+
+def test_two_honest_systems_in_frames_of_their_own_are_rarely_called_overconfident():
+    assert sum(pair(seed, 1.0).outcome == "overconfident" for seed in range(40)) <= 5  # 2 expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "rho"), [(30, 0.0), (600, math.sqrt(0.95 / 1.05))])
+def test_the_power_of_a_pair_is_that_of_the_exact_test_with_thirty_samples(count, rho):
+    told = {
+        times: sum(pair(seed, times, count, rho).outcome == "overconfident" for seed in range(200))
+        for times in (1.0, 1.5, 2.0)
+    }
+    freedom = 3 * 30 - 3  # the alignment takes three
+    exact = float(chi2.sf(chi2.ppf(0.95, freedom) / (0.5 * (1.5**2 + 1.0)), freedom))
+    assert told[1.0] <= 16 and told[2.0] >= 190
+    assert told[1.5] / 200 == pytest.approx(exact, abs=0.04)
+
+
+@pytest.mark.parametrize(("times", "samples"), [(1.0, 20), (1.5, 20), (1.4, 41), (2.0, 9)])
+def test_the_power_that_is_told_is_that_of_chi_square_where_both_covariances_are_equal(times, samples):
+    covs = np.broadcast_to(COV, (77, 3, 3))
+    expected = float(chi2.sf(chi2.ppf(0.95, 3 * samples) / (0.5 * (times**2 + 1.0)), 3 * samples))
+    assert power(2.0 * covs, covs, samples, times) == pytest.approx(expected, abs=0.03)
+
+
+def test_the_power_is_that_of_the_system_whose_errors_matter_less():
+    covs = np.broadcast_to(COV, (25, 3, 3))
+    sure, small = power(2.0 * covs, covs, 25, 1.5), power(1.1 * covs, 0.1 * covs, 25, 1.5)
+    limit = chi2.ppf(0.95, 75)
+    assert small == pytest.approx(float(chi2.sf(limit / (1.0 + 1.25 * 0.1 / 1.1), 75)), abs=0.03) and small < 0.5 * sure
+
+
+def test_what_one_must_be_if_the_other_is_honest_follows_from_their_shares():
+    rng = np.random.default_rng(3)
+    first, second = system(3000, 3.0 * errors(rng, 3000)), system(3000, errors(rng, 3000, cov=4.0 * COV), 4.0 * COV)
+    found = ss.audit(first, pair=second, align="none").pair
+    # (9 + 4) / 5 of the stated sum: the first one alone is 3 times, the second alone sqrt((13 - 1) / 4) times.
+    assert found.if_other_honest == (pytest.approx(3.0, rel=0.06), pytest.approx(math.sqrt(3.0), rel=0.06))
+    assert found.least == pytest.approx(math.sqrt(13.0 / 5.0), rel=0.05)
+    assert found.if_other_honest[0] < 3.0 and found.least < math.sqrt(13.0 / 5.0)  # limits, not means
+
+
+def test_errors_that_both_share_hide_and_are_told_as_less_than_allowed():
+    rng = np.random.default_rng(4)
+    shared = 2.0 * errors(rng, 2000)
+    first, second = (system(2000, shared + 0.3 * errors(rng, 2000)) for _ in range(2))
+    found = ss.audit(first, pair=second)
+    assert found.outcome == "cautious" and "depend on each other" in found.verdict
+
+
+def test_relative_motions_over_horizons_say_when_two_systems_differ():
+    rng = np.random.default_rng(5)
+    first, second = (system(4000, errors(rng, 4000, rho=0.99)) for _ in range(2))
+    (short, small), *_, (long, large) = ss.audit(first, pair=second, align="none").pair.horizons
+    assert (short, long) == (pytest.approx(0.075), pytest.approx(150.0))
+    assert small == pytest.approx(1.0 - 0.99, rel=0.15) and large == pytest.approx(1.0, abs=0.35)
+
+
+def test_three_systems_tell_each_ones_own_factor_and_a_dependence_as_a_negative_one():
+    rng, count = np.random.default_rng(6), 4000
+    first = system(count, 1.4 * errors(rng, count))
+    second = system(count, errors(rng, count, cov=OTHER), OTHER)
+    third = system(count, 0.5 * errors(rng, count, cov=4.0 * COV), 4.0 * COV)
+    found = ss.audit(first, pair=[moved(second, (3.0, -2.0, 0.8)), moved(third, (-1.0, 4.0, -2.1))])
+    for hat, expected in zip(found.pair.hats, (1.96, 1.0, 0.25), strict=True):
+        low, high = hat.interval
+        assert low < expected < high and high - low < 0.5
+    common = 2.0 * errors(rng, count)
+    twins = [system(count, common + 0.1 * errors(rng, count)) for _ in range(2)]
+    dependent = ss.audit(system(count, 0.2 * errors(rng, count)), pair=twins)
+    assert dependent.pair.hats[1].factor < 0.1 and dependent.pair.hats[0].factor > 3.0  # the twins look exact
+
+
+def test_a_pair_of_files_is_audited_by_the_command(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(7)
+    for name, times in (("a", 3.0), ("b", 1.0)):
+        stamps, poses, covs = system(200, times * errors(rng, 200))
+        half = 0.5 * poses[:, 2]
+        zero = np.zeros(200)
+        tum = np.column_stack([stamps, poses[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
+        np.savetxt(f"{name}.tum", tum)
+        np.savetxt(f"{name}.cov", np.column_stack([stamps, covs[:, *np.triu_indices(3)]]))
+    line = "audit a.tum --pair b.tum --covariance a.cov b.cov --json x.json"
+    assert main(line.split()) == 0
+    said = capsys.readouterr().out
+    assert "pair         b.tum" in said and "power        one whose errors" in said
+    assert "at least one is overconfident by " in said and "if b.tum is honest, a.tum by 2." in said
+    assert main([*line.split(), "--overwrite", "--require", "consistent"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"truth": truth(30)}, "pair: found beside a truth"),
+        ({"pair": [system(30, 0.0)] * 3}, "pair: found 3, allowed: one system or two"),
+        ({"align": "first"}, "align: found first with `pair`"),
+    ],
+)
+def test_a_pair_that_cannot_be_is_refused(given, said):
+    first, second = (system(30, errors(np.random.default_rng(seed), 30)) for seed in (8, 9))
+    with pytest.raises(InputError, match=said):
+        ss.audit(first, **({"pair": second} | given))
