@@ -29,6 +29,7 @@ from sixthsense.cli.options import (
 from sixthsense.config import Config, load_config, merge, preset, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
+from sixthsense.config.parts import FRONT_ENDS
 from sixthsense.config.section import shown
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.sources.scene_files import scene_file
@@ -211,13 +212,20 @@ def show_end(run: Run, options: Common) -> int:
         for place in run.trace.left:
             print(f"left unseen: {_described(place)}")
         print()
-    for label, text in (run_summary(run.metrics) | dict(_left(run)) | dict(_files(run))).items():
+    for label, text in (run_summary(run.metrics) | dict(_unknown(run)) | dict(_left(run)) | dict(_files(run))).items():
         print(f"{label:12} {text}")
     print(f"written to {run.folder}/")
     code = EXIT_CODES.get(run.outcome, FAILED)
     if options.strict and code == DONE and run.verdict is not None:
         return EXIT_CODES_OF_MAPS[run.verdict.level]
     return code
+
+
+def _unknown(run: Run) -> Iterator[tuple[str, str]]:
+    """What the verdict does not know of a front end that is not shipped."""
+    name = run.trace.config.front_end
+    if name not in FRONT_ENDS.shipped:
+        yield "not judged", f"whether {name} uses a return once, and whether its links are as exact as they say"
 
 
 def _left(run: Run) -> Iterator[tuple[str, str]]:

@@ -32,7 +32,10 @@ Table = Mapping[str, Any]
 class _EstimateFields(TypedDict, total=False):
     """Fields of the estimate alone, which every call takes."""
 
-    front_end: Literal["landmarks", "scan-matching"]
+    front_end: str | Callable[..., Any]
+    front_end_options: Table
+    extractor: str | Callable[..., Any]
+    extractor_options: Table
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool
@@ -74,6 +77,8 @@ class Fields(_WorldFields, total=False):
     estimator_options: Table
     planner: str | Callable[..., Any]
     planner_options: Table
+    explorer: str | Callable[..., Any]
+    explorer_options: Table
     seed: int
 
 
@@ -93,6 +98,8 @@ class RunFields(_WorldFields, _PriorMapFields, total=False):
     estimator_options: Table
     planner: str | Callable[..., Any]
     planner_options: Table
+    explorer: str | Callable[..., Any]
+    explorer_options: Table
     seed: int
 
 
@@ -118,3 +125,5 @@ class CampaignFields(_WorldFields, total=False):
     preset: str | Sequence[str]
     planner: str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
     planner_options: Table
+    explorer: str | Callable[..., Any]
+    explorer_options: Table

@@ -117,7 +117,29 @@ PLANNERS = Parts(
     },
     rrtstar="rrtstar",
 )
-KINDS = (ESTIMATORS, PLANNERS)
+FRONT_ENDS = Parts(
+    "front_end",
+    f"{_SLAM}.front_end:FrontEnd",
+    {
+        "landmarks": f"{_SLAM}.landmark_front_end:landmark_front_end",
+        "scan-matching": f"{_SLAM}.scans.front_end:scan_front_end",
+    },
+)
+EXTRACTORS = Parts(
+    "extractor",
+    f"{_SLAM}.features.extractor:Extractor",
+    {"lines": f"{_SLAM}.features.extraction:LineExtractor"},
+    lines="features",
+)
+EXPLORERS = Parts(
+    "explorer",
+    f"{_NAVIGATION}.explorer:Explorer",
+    {
+        "frontier": f"{_NAVIGATION}.explorer:FrontierExplorer",
+        "random": f"{_NAVIGATION}.explorer:RandomExplorer",
+    },
+)
+KINDS = (ESTIMATORS, FRONT_ENDS, EXTRACTORS, PLANNERS, EXPLORERS)
 """all kinds of parts, in the order of their use"""
 
 FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
@@ -127,5 +149,8 @@ KEEP_POSES = "with isam2, which keeps the poses of all keyframes"
 NEEDS_FILTER = "a shipped estimator, or one with the methods of Filter"
 """of messages about parameters that are estimated with the pose"""
 
-OF_THE_ROBOT = ("scene", "task", "goal", "tour", "start", "region", "planner", "rrtstar", "follow", "explore", "world")
+OF_THE_ROBOT = (
+    *("scene", "task", "goal", "tour", "start", "region", "rrtstar", "follow", "explore", "world"),
+    *("planner", "planner_options", "explorer", "explorer_options"),
+)
 """fields and sections of the configuration that a replay refuses: they are of a robot that is driven or simulated"""

@@ -304,9 +304,6 @@ class GridConfig(Section):
 class ExploreConfig(Section):
     """Where to look next, and when all is seen (report section 4.5)."""
 
-    method: Literal["frontier", "random"] = "frontier"
-    """frontier: the first viewpoint of a short tour through all of them and home; random: places drawn in the largest
-    unseen area (the report's idea)."""
     return_home: bool = True
     """Drive back to the start when all is seen."""
     margin_m: NonNegative = 1.0

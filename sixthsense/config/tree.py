@@ -7,7 +7,19 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, NamedTuple
 
 from sixthsense.config.errors import InputError, PartError, nearest, reason_of
-from sixthsense.config.parts import ESTIMATORS, FILTERS, KEEP_POSES, KINDS, PLANNERS, PartOptions, Parts, options_class
+from sixthsense.config.parts import (
+    ESTIMATORS,
+    EXPLORERS,
+    EXTRACTORS,
+    FILTERS,
+    FRONT_ENDS,
+    KEEP_POSES,
+    KINDS,
+    PLANNERS,
+    PartOptions,
+    Parts,
+    options_class,
+)
 from sixthsense.config.section import Count, Range, Section, checked, hints_of, shown
 from sixthsense.config.sections import (
     AssociationConfig,
@@ -39,10 +51,13 @@ class Config(Section):
     """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf, isam2, or your own. The first three are filters that stay
     consistent when the robot turns, ekf is the report's filter, isam2 a smoother; `sixthsense parts` says how one of
     yours is named."""
-    front_end: Literal["landmarks", "scan-matching"] = "landmarks"
-    """What the estimator is given: landmarks or scan-matching. landmarks: observations of walls and points;
+    front_end: Annotated[str, FRONT_ENDS] = "landmarks"
+    """What the estimator is given: landmarks, scan-matching, or your own. landmarks: observations of walls and points;
     scan-matching: relative poses of keyframes, for an estimator that keeps all poses, isam2. Logs with scans: isam2
     and scan-matching, unless an estimator is named."""
+    extractor: Annotated[str, EXTRACTORS] = "lines"
+    """What finds landmarks in a scan: lines, or your own. lines: walls, corners and free ends; `features` has its
+    options."""
     calibrate_wheels: bool = False
     """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
     prior is in assumed.wheels."""
@@ -55,6 +70,9 @@ class Config(Section):
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, rrtstar, or your own. astar: shortest over the grid's cells; rrtstar: sampled in the
     plane."""
+    explorer: Annotated[str, EXPLORERS] = "frontier"
+    """What chooses the next view of an exploration: frontier, random, or your own. frontier: the first viewpoint of a
+    short tour through all of them and home; random: places drawn in the largest unseen area, the report's idea."""
     task: Literal["explore", "goal", "tour"] = "explore"
     """Task: explore, goal or tour. explore: see all of the region, then drive home; goal: drive to a
     goal; tour: drive to a list of goals, again and again until max-time, or once without it."""
@@ -77,8 +95,14 @@ class Config(Section):
     """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
     estimator_options: PartOptions = field(default_factory=PartOptions)
     """Options of an estimator that is not shipped, by name."""
+    front_end_options: PartOptions = field(default_factory=PartOptions)
+    """Options of a front end that is not shipped, by name."""
+    extractor_options: PartOptions = field(default_factory=PartOptions)
+    """Options of an extractor that is not shipped, by name."""
     planner_options: PartOptions = field(default_factory=PartOptions)
     """Options of a planner that is not shipped, by name."""
+    explorer_options: PartOptions = field(default_factory=PartOptions)
+    """Options of an explorer that is not shipped, by name."""
     robot: RobotConfig = field(default_factory=RobotConfig)
     laser: LaserConfig = field(default_factory=LaserConfig)
     world: WorldConfig = field(default_factory=WorldConfig)

@@ -58,6 +58,8 @@ class OwnParts:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Raise PartError in place of an error that began in a part, or that follows from what one returned."""
+        if isinstance(error, PartError) and not error.when:
+            raise PartError(error.part, error.found, self._when) from error
         if not isinstance(error, Exception) or isinstance(error, InputError | PartError) or not self._files:
             return
         for frame in reversed(traceback.extract_tb(trace)):

@@ -10,15 +10,19 @@ from typing import Literal
 
 import numpy as np
 
+from sixthsense.config.errors import PartError
+from sixthsense.config.parts import EXPLORERS
+from sixthsense.config.tree import part_of
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.exploration_task import TRIES, ExplorationTask
+from sixthsense.navigation.explorer import ExplorationView, Explorer, target_fault
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
 from sixthsense.navigation.path_planner import DETOUR, DrivingMap, margin_m
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import LEAST_AREA_M2, UnseenPlace, unseen_places
-from sixthsense.navigation.view_planner import NO_TARGET, Target, ViewPlanner
+from sixthsense.navigation.view_planner import NO_TARGET, Candidates, Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.views import KnownViews, SensorModel, ViewGain
 from sixthsense.navigation.visibility import visible_cells
@@ -48,6 +52,9 @@ class Exploration:
         self._sensor = SensorModel.of(config.laser, config.grid.cell_m, config.keyframes.turn_rad)
         self._gain, self._known_views = ViewGain(self._view, self._sensor), KnownViews()
         self._history = PoseHistory(task.config.explore)
+        self._part = part_of(task.config, EXPLORERS)
+        self.explorer: Explorer = self._part.make(task.rng)
+        """chooses the views"""
         self._ways_home = 0  # that were tried again
         self._stuck = False  # since the last arrival
         self._at_choice = 0.0, 0.0  # area seen and way driven, when the view was chosen
@@ -218,7 +225,17 @@ class Exploration:
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view from a cell in reach; None if nothing is left to see from there."""
         planner = self._make_view_planner(pose)
-        return planner.next_target(planner.candidates(), self._task.rng)
+        return self._chosen(planner, planner.candidates())
+
+    def _chosen(self, planner: ViewPlanner, candidates: Candidates) -> Target | None:
+        """The explorer's choice among candidates; None if there are none. Raises PartError for one that is none."""
+        if not candidates.clusters:
+            return None
+        view = ExplorationView(planner, candidates)
+        target = self.explorer.next_target(view)
+        if not self._part.is_shipped and (fault := target_fault(view, target)):
+            raise PartError(self._part.name, f"next_target: {fault}")
+        return target
 
     def _target_outside(self, pose: Pose) -> Target | None:
         """A target for a robot that may drive far outside the region, from where it may see more of it."""

@@ -38,7 +38,7 @@ class ExplorationTask:
     paths: PathPlanner
     config: Config
     rng: np.random.Generator
-    """for the random method"""
+    """for the explorer"""
 
 
 class AreaToSee:

@@ -83,14 +83,6 @@ class ViewPlanner:
         """The map."""
         return self.gain.view
 
-    def next_target(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
-        """The best view of the candidates, by the configured method; None if no view from a reachable cell is left."""
-        if not candidates.clusters:
-            return None
-        if self.config.explore.method == "random":
-            return self.sample_random(candidates, rng)
-        return self.best(candidates)
-
     def candidates(self) -> Candidates:
         """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
         view = self.view

@@ -6,20 +6,24 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config import KeyframeConfig
+from sixthsense.config import Config, KeyframeConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Closure
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import NO_FEATURES, Features
+
+if TYPE_CHECKING:
+    from sixthsense.slam.association.associator import Associator
+    from sixthsense.slam.motion_source import Motion
 
 Clock = Callable[[str], AbstractContextManager[object]]
 """Times a stage: `with clock("extract"):`"""
@@ -98,8 +102,37 @@ class Finished(NamedTuple):
     """between keyframes, as the estimator has them; None for a front end that makes none"""
 
 
+class FrontEndSetup(NamedTuple):
+    """What a front end is made with."""
+
+    config: Config
+    estimator: Estimator
+    """what it measures for; one with links is a `Smoother`"""
+    start: Pose
+    """`T_world_robot`"""
+    associator: Associator
+    """which observation is of which landmark"""
+    motion: Motion
+    """where the increments come from"""
+    clock: Clock = untimed
+    """times its stages"""
+
+
 class FrontEnd(Protocol):
-    """From ticks to what the estimator is given."""
+    """Makes measurements for the estimator of each tick's motion and scan.
+
+    It is made with a `FrontEndSetup`, and with an object of its `Options`, if it has any.
+
+    1. `take` is called once for each tick, in their order; the first has no increment, and not every one has a scan.
+    2. A tick becomes a keyframe by one `predict` of the estimator with the motion since the last one, or in pieces, and
+       one `update`, perhaps with no observation. Its `index` counts from 0: the row of the estimator's `trajectory`.
+    3. Between keyframes the estimator is not predicted. Links that it is given are of keyframes.
+    4. `pose` is that of the last keyframe's estimate and `since`, the motion since then, whose covariance (3, 3), axes
+       of the keyframe, is symmetric and positive semi-definite.
+    5. A return is evidence once: in an observation or in links. Their covariances are as large as their errors are.
+    6. `finish` predicts the estimator up to the last tick, and returns its estimate there.
+    7. The same ticks give the same bits, and arrays of the evidence stay as they are.
+    """
 
     @property
     def pose(self) -> Pose:

@@ -13,16 +13,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import PartError
+from sixthsense.config.parts import EXTRACTORS
+from sixthsense.config.tree import part_of
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Closure
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator, Smoother
 from sixthsense.slam.estimators.base import Link
-from sixthsense.slam.features import NO_FEATURES, Features, extract
-from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, is_due
+from sixthsense.slam.features import NO_FEATURES, Extractor, Features
+from sixthsense.slam.features.extractor import features_fault
+from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
+from sixthsense.slam.motion_source import ByWheels, Motion
 
 if TYPE_CHECKING:
     from sixthsense.slam.scans.front_end import ScanFrontEnd
@@ -36,14 +42,14 @@ class LandmarkFrontEnd:
         config: Config,
         estimator: Estimator,
         associator: Associator,
-        ransac_rng: np.random.Generator,
+        extractor: Extractor,
         start: Pose,
         clock: Clock,
         guide: ScanFrontEnd | None = None,
     ) -> None:
         """Begin at `start`, `T_world_robot`."""
         self._config, self._estimator, self._associator = config, estimator, associator
-        self._ransac_rng, self._pose, self._clock = ransac_rng, start, clock
+        self._extractor, self._pose, self._clock = extractor, start, clock
         self._since = STANDSTILL
         """odometry since the last keyframe"""
         self._keyframes = 0
@@ -75,7 +81,9 @@ class LandmarkFrontEnd:
         features = NO_FEATURES
         if evidence.scan is not None:
             with self._clock("extract"):
-                features = extract(evidence.scan, self._config.assumed, self._config.features, self._ransac_rng)
+                features = self._extractor.extract(evidence.scan)
+            if self._config.extractor not in EXTRACTORS.shipped and (fault := features_fault(features)):
+                raise PartError(f"extractor {self._config.extractor}", f"extract: {fault}")
         with self._clock("associate"):
             association = self._associated(features, evidence)
         if association.slip is not None:
@@ -144,3 +152,17 @@ class LandmarkFrontEnd:
             self._estimator.forget(gone)
             estimate = self._estimator.estimate()
         return estimate
+
+
+def landmark_front_end(setup: FrontEndSetup) -> LandmarkFrontEnd:
+    """The front end of landmarks, with a guide where the configuration wants matches to be proposed."""
+    config, estimator, start, associator, _, clock = setup
+    extractor: Extractor = part_of(config, EXTRACTORS).make(config.assumed, random_streams(config.seed).ransac)
+    guide = None
+    if config.association.proposed_by == "scan-matching":
+        from sixthsense.slam.estimators.isam2 import ISAM2
+        from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+        smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
+        guide = ScanFrontEnd(config, smoother, start, Motion(ByWheels(config.assumed)), clock, is_guide=True)
+    return LandmarkFrontEnd(config, estimator, associator, extractor, start, clock, guide)

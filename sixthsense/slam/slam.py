@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config
-from sixthsense.config.errors import InputError
-from sixthsense.config.parts import ESTIMATORS, KEEP_POSES
+from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import part_of
 from sixthsense.core.arguments import as_pose, as_ranges
@@ -21,19 +20,17 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import ParameterEstimate
-from sixthsense.core.random_streams import random_streams
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother
+from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, Keyframe, LoopClosureCounts, untimed
-from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
+from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, FrontEndSetup, Keyframe, LoopClosureCounts, untimed
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
-from sixthsense.slam.motion_source import ByWheels, Motion, make_motion
+from sixthsense.slam.motion_source import make_motion
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
@@ -88,8 +85,8 @@ class Slam:
         if prior_map is not None:
             begin_with(prior_map, config, self.estimator, self._start, cov)
             self._mapper.start_from(prior_map.evidence)
-        args = config, self.estimator, self.associator, self._start, self._motion, clock
-        self._front_end = make_front_end(*args)
+        setup = FrontEndSetup(config, self.estimator, self._start, self.associator, self._motion, clock)
+        self._front_end: FrontEnd = part_of(config, FRONT_ENDS).make(setup)
         self._last: Tick | None = None
         self._T_world_odom = self._start
         self._estimate = self._reported(self.estimator.estimate())
@@ -277,23 +274,3 @@ class Slam:
         self._mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
         if self._draws_map:
             self._mapper.draw()
-
-
-def make_front_end(
-    config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: Motion, clock: Clock
-) -> FrontEnd:
-    """The configured front end at `start`, `T_world_robot`; InputError for one that the estimator cannot use."""
-    if config.front_end == "scan-matching":
-        if not isinstance(estimator, Smoother):
-            raise InputError("front_end", f"found scan-matching with {config.estimator}", KEEP_POSES)
-        from sixthsense.slam.scans.front_end import ScanFrontEnd
-
-        return ScanFrontEnd(config, estimator, start, motion, clock)
-    guide = None
-    if config.association.proposed_by == "scan-matching":
-        from sixthsense.slam.estimators.isam2 import ISAM2
-        from sixthsense.slam.scans.front_end import ScanFrontEnd
-
-        smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
-        guide = ScanFrontEnd(config, smoother, start, Motion(ByWheels(config.assumed)), clock, is_guide=True)
-    return LandmarkFrontEnd(config, estimator, associator, random_streams(config.seed).ransac, start, clock, guide)

@@ -1,10 +1,10 @@
 """Checks of parts against the contract of their seam, for shipped ones and your own, and consistency experiments.
 
-from sixthsense.testing import check_estimator
+from sixthsense.testing import check_estimator, check_explorer, check_extractor, check_front_end, check_planner
 check_estimator(MyEstimator)
 """
 
-from sixthsense.testing.check import check_estimator
+from sixthsense.testing.check import check_estimator, check_explorer, check_extractor, check_front_end, check_planner
 from sixthsense.testing.laws import Verdicts
 
-__all__ = ["Verdicts", "check_estimator"]
+__all__ = ["Verdicts", "check_estimator", "check_explorer", "check_extractor", "check_front_end", "check_planner"]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.navigation.explorer import Explorer
+from sixthsense.navigation.planners import PlannerFactory
 from sixthsense.slam.estimators import EstimatorFactory
+from sixthsense.slam.features import Extractor
+from sixthsense.slam.front_end import FrontEnd
 from sixthsense.testing import contract, edges, posterior, walls
 from sixthsense.testing.estimation import make
 from sixthsense.testing.laws import Verdicts, verdicts_of
@@ -22,6 +28,34 @@ def check_estimator(estimator: str | EstimatorFactory, validation: bool = True) 
     NotImplementedError for the first observation of a wall, the laws of walls are skipped.
     """
     return verdicts_of(LAWS, estimator, _refusal_of_walls(estimator), validation)
+
+
+def check_planner(planner: str | PlannerFactory, validation: bool = True) -> Verdicts:
+    """Test a planner, named or its class, against all laws of the `Planner` contract, on maps with random blocks."""
+    from sixthsense.testing.navigation import PLANNER_LAWS, PLANNER_VALIDATION
+
+    return verdicts_of((*PLANNER_LAWS, *PLANNER_VALIDATION), planner, validation=validation)
+
+
+def check_explorer(explorer: str | Callable[..., Explorer]) -> Verdicts:
+    """Test an explorer, named or its class, against all laws of the `Explorer` contract, in two rooms with a door."""
+    from sixthsense.testing.navigation import EXPLORER_LAWS
+
+    return verdicts_of(EXPLORER_LAWS, explorer)
+
+
+def check_extractor(extractor: str | Callable[..., Extractor]) -> Verdicts:
+    """Test an extractor, named or its class, against all laws of the `Extractor` contract, in a room with free ends."""
+    from sixthsense.testing.perception import EXTRACTOR_LAWS, EXTRACTOR_STATISTICS
+
+    return verdicts_of((*EXTRACTOR_STATISTICS, *EXTRACTOR_LAWS), extractor)
+
+
+def check_front_end(front_end: str | Callable[..., FrontEnd]) -> Verdicts:
+    """Test a front end, named or its class, against all laws of the `FrontEnd` contract, on drives with isam2."""
+    from sixthsense.testing.perception import FRONT_END_LAWS, FRONT_END_STATISTICS
+
+    return verdicts_of((*FRONT_END_STATISTICS, *FRONT_END_LAWS), front_end)
 
 
 def _refusal_of_walls(estimator: str | EstimatorFactory) -> str:

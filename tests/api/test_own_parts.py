@@ -10,6 +10,7 @@ import pytest
 import sixthsense as ss
 from sixthsense import cli, testing
 from sixthsense.config.errors import PartError
+from sixthsense.config.parts import KINDS
 
 PAGES = Path(__file__).parents[2] / "docs" / "howto" / "parts"
 SHORT = {"task": "tour", "max_time": 2.0, "progress": False}
@@ -34,7 +35,7 @@ def sixthsense(*words):
 
 
 def test_every_example_is_a_file_of_at_most_40_lines():
-    assert {file.stem for file in PAGES.glob("*.py")} >= {"fading"}
+    assert {file.stem for file in PAGES.glob("*.py")} >= {"fading", "straight", "nearest", "long_walls", "wheels"}
     for file in PAGES.glob("*.py"):
         assert len(file.read_text().splitlines()) <= 40, file.name
 
@@ -65,6 +66,68 @@ def test_an_estimator_of_one_file_is_checked_run_replayed_compared_and_sent_to_t
     assert set(frame["estimator"]) == {"fading:Fading", "ekf"}
     assert "fading:Fading" in str(done)
     assert {sample.config.estimator for sample in ss.compare(done).samples} == {"fading:Fading", "ekf"}
+
+
+SEAMS = {
+    "planner": ("straight:StraightLine", testing.check_planner, {"task": "goal", "goal": (1.4, 0.5)}),
+    "explorer": ("nearest:Nearest", testing.check_explorer, {"laser": {"max_range": 2.0}}),
+    "extractor": ("long_walls:LongWalls", testing.check_extractor, {"task": "tour"}),
+    "front_end": ("wheels:Wheels", testing.check_front_end, {"task": "tour"}),
+}
+"""of each kind an example, the check of its contract, and a run in which it is used"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SEAMS)
+def test_the_example_of_each_seam_keeps_its_contract_and_is_used_in_a_run(kind, lab):
+    path, check, task = SEAMS[kind]
+    verdicts = check(path)
+    assert verdicts.kept, verdicts
+    run = ss.run("rectangle", max_time=5.0, progress=False, out="run", **{kind: path}, **task)
+    assert getattr(run.trace.config, kind) == path
+    assert getattr(ss.load("run").trace.config, kind) == path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SEAMS)
+def test_shipped_parts_keep_the_contract_of_their_seam(kind):
+    (parts,) = (parts for parts in KINDS if parts.kind == kind)
+    for name in parts.shipped:
+        verdicts = SEAMS[kind][1](name)
+        assert verdicts.kept, f"{name}\n{verdicts}"
+
+
+BREACHES = {
+    "planner": ("import numpy as np, sixthsense as ss\n\n\nclass Bad:\n    def __init__(self, rng): pass\n"
+                "    def plan(self, space, start, goal): return ss.Plan.along([start, start], 0, 0.0)\n",
+                {"task": "goal", "goal": (1.4, 0.5)}, "plan: found a path that ends at"),
+    "explorer": ("class Bad:\n    def __init__(self, rng): pass\n"
+                 "    def next_target(self, view): return view.pose\n",
+                 {"laser": {"max_range": 2.0}}, "next_target: found a Pose, allowed: a Target"),
+    "extractor": ("import numpy as np\nfrom dataclasses import replace\n"
+                  "from sixthsense.config import FeaturesConfig\n"
+                  "from sixthsense.slam.features.extraction import LineExtractor\n\n\nclass Bad:\n"
+                  "    def __init__(self, *args): self.lines = LineExtractor(*args, FeaturesConfig())\n"
+                  "    def extract(self, scan):\n        found = self.lines.extract(scan)\n"
+                  "        worse = tuple(replace(o, cov=-o.cov) for o in found.observations)\n"
+                  "        return replace(found, observations=worse)\n",
+                  {"task": "tour"}, "extract: observation 0: found cov .* with an eigenvalue of -"),
+    "front_end": ("class Bad:\n    def __init__(self, setup): self.pose = setup.start\n"
+                  "    def take(self, evidence): return evidence.scan.ranges[3]\n",
+                  {"task": "tour"}, "take raised AttributeError|has no attribute"),
+}  # fmt: skip
+"""of each kind one that breaks its contract, a run, and what is said of it"""
+
+
+@pytest.mark.parametrize("kind", BREACHES)
+def test_a_part_that_breaks_its_contract_is_named_in_the_run(kind, lab):
+    body, task, said = BREACHES[kind]
+    (lab / f"bad_{kind}.py").write_text(body)
+    with pytest.raises(PartError) as caught:
+        ss.run("rectangle", max_time=5.0, progress=False, **{kind: f"bad_{kind}:Bad"}, **task)
+    error = caught.value
+    assert error.part == f"{kind} bad_{kind}:Bad" and re.search(said, error.found), error
+    assert re.fullmatch(r"after keyframe -?\d, at \d+\.\d\d s", error.when)
 
 
 @pytest.mark.parametrize(

@@ -156,13 +156,13 @@ def test_the_part_of_a_region_that_is_visible_only_from_outside_is_seen(tmp_path
 
 
 def test_the_random_method_explores_the_whole_scene(tmp_path: Path) -> None:
-    made = explored(tmp_path, L_SHAPE, explore={"method": "random"})
+    made = explored(tmp_path, L_SHAPE, explorer="random")
     assert made.outcome == "explored"
     assert made.metrics["coverage"] >= 0.995
 
 
 def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
-    truths = [np.array(explored(tmp_path, PILLARS, explore={"method": "random"}).trace.truths) for _ in range(2)]
+    truths = [np.array(explored(tmp_path, PILLARS, explorer="random").trace.truths) for _ in range(2)]
     np.testing.assert_array_equal(*truths)
 
 
@@ -209,7 +209,7 @@ BAD = {
     "a goal outside the map": (["--goal", "40", "1"], "goal: found (40, 1), outside the region"),
     "an empty region": (["--region", "1", "1", "0", "0"], "region"),
     "an invalid margin": (["--explore.margin-m", "-2"], "--explore.margin-m: found -2"),
-    "an unknown method": (["--explore.method", "best"], "--explore.method: found 'best', allowed: frontier, random"),
+    "an unknown explorer": (["--explorer", "best"], "--explorer: found 'best', allowed: frontier, random, MODULE:NAME"),
 }
 
 

@@ -63,7 +63,7 @@ def planner(opening: int, behind: Bools | None = None, tries: int = 0, screen: b
 
 def next_target(view: ViewPlanner) -> Target | None:
     candidates = view.candidates()
-    return view.next_target(candidates, np.random.default_rng(0))
+    return view.best(candidates) if candidates.clusters else None
 
 
 def left_by(view: ViewPlanner) -> list[UnseenPlace]:

@@ -109,6 +109,6 @@ def test_the_tours_of_an_exploration_are_in_its_bag(tmp_path):
 
 
 def test_views_that_no_tour_has_chosen_make_no_tour():
-    config = preset(task="explore", scene="rectangle", max_time=20.0, explore={"method": "random"})
+    config = preset(task="explore", scene="rectangle", max_time=20.0, explorer="random")
     trace = run(config)
     assert trace.plans and not trace.tours

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,3 +90,25 @@ class Planner(Protocol):
     def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
         """Plan from `start` to `goal`, (2,) points in the world, metres."""
         ...
+
+
+def plan_fault(plan: object, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> str:
+    """What is wrong with the plan of a planner from `start` to `goal`, (2,) each; "" if nothing."""
+    if not isinstance(plan, Plan):
+        return f"found a {type(plan).__name__}, allowed: a Plan"
+    if plan.status not in get_args(Status):
+        return f"found status {plan.status!r}, allowed: {', '.join(get_args(Status))}"
+    path = np.asarray(plan.path_world)
+    if not plan.found:
+        return "" if path.shape == (0, 2) else f"found a path {path.shape} with status {plan.status!r}, allowed: (0, 2)"
+    if path.ndim != 2 or path.shape[1] != 2 or len(path) < 2 or not np.isfinite(path).all():
+        return f"found a path {path.shape}, allowed: finite numbers, (N, 2), N at least 2"
+    for name, found, end in (("begins", path[0], start), ("ends", path[-1], goal)):
+        if not np.array_equal(found, end):
+            allowed = np.asarray(end, dtype=np.float64).tolist()
+            return f"found a path that {name} at {found.tolist()}, allowed: {allowed}"
+    for a, b in itertools.pairwise(path):
+        if not space.line_is_free(a, b):
+            ends = " and ".join(str(np.round(end, 3).tolist()) for end in (a, b))
+            return f"found a path that touches a blocked cell between {ends}"
+    return ""

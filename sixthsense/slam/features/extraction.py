@@ -98,6 +98,20 @@ def _partitioned(scan: Scan, sigma_range: float, config: FeaturesConfig) -> tupl
     return offset, RolledScan(points, ranges, bearings, pieces, scan.closed, cyclic)
 
 
+class LineExtractor:
+    """Walls, corners and free ends by lines that are fitted to the scan."""
+
+    Options = FeaturesConfig
+
+    def __init__(self, assumed: AssumedConfig, rng: np.random.Generator, options: FeaturesConfig) -> None:
+        """RANSAC draws from `rng`."""
+        self._assumed, self._rng, self._options = assumed, rng, options
+
+    def extract(self, scan: Scan) -> Features:
+        """Extract walls and landmarks from a scan."""
+        return extract(scan, self._assumed, self._options, self._rng)
+
+
 def _line_rules(config: FeaturesConfig) -> LineRules:
     lines = config.lines
     return LineRules(

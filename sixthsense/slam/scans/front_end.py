@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
+from sixthsense.config.parts import KEEP_POSES
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -28,7 +30,7 @@ from sixthsense.core.se2 import (
 )
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
-from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, is_due
+from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import REACH_M, REACH_RAD, ScanGraph
@@ -302,3 +304,11 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Tri
     rows, keys, found = rows[is_aligned], keys[is_aligned], found[is_aligned]
     motions[rows] = compose(compose(to_laser, between(poses[keys], found)), back)
     return motions
+
+
+def scan_front_end(setup: FrontEndSetup) -> ScanFrontEnd:
+    """The front end of scans; InputError for an estimator that cannot use it."""
+    config, estimator, start, _, motion, clock = setup
+    if not isinstance(estimator, Smoother):
+        raise InputError("front_end", f"found scan-matching with {config.estimator}", KEEP_POSES)
+    return ScanFrontEnd(config, estimator, start, motion, clock)

@@ -1,0 +1,218 @@
+"""The laws of the contracts of `Planner` and `Explorer`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sixthsense.config import preset
+from sixthsense.config.parts import EXPLORERS
+from sixthsense.config.tree import Part, default_options
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
+from sixthsense.navigation.exploration import Exploration
+from sixthsense.navigation.exploration_task import ExplorationTask
+from sixthsense.navigation.explorer import ExplorationView, Explorer, target_fault
+from sixthsense.navigation.path_driver import DriveEvent
+from sixthsense.navigation.path_planner import PathPlanner
+from sixthsense.navigation.planners import Plan, Planner, make_planner
+from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.planners.base import plan_fault
+from sixthsense.navigation.view_planner import Target
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.testing.laws import Laws, raises
+
+PLANNER_LAWS, PLANNER_VALIDATION = Laws(), Laws("validation")
+EXPLORER_LAWS = Laws()
+
+_CELL_M, _ORIGIN = 0.1, (-1.35, 0.25)
+_RADIUS_M, _ROOMS, _MOST_CHOICES = 0.17, (0.1, 0.2, 7.3, 3.4), 60
+_BETWEEN = np.array([[[3.9, 0.2], [3.9, 1.7]], [[3.9, 2.8], [3.9, 3.4]]])
+"""the wall between two rooms, with a door of 1.1 m"""
+_EVENTS: tuple[DriveEvent, ...] = ("arrived", "turned around")
+
+
+def _space(seed: int, share: float = 0.25) -> tuple[FreeSpace, np.random.Generator]:
+    """A seen space of 40 x 52 cells with some blocks in it."""
+    rng = np.random.default_rng(seed)
+    blocked = np.zeros((40, 52), dtype=np.bool_)
+    while blocked.mean() < share:
+        row, col = rng.integers(0, 36), rng.integers(0, 48)
+        blocked[row : row + rng.integers(1, 5), col : col + rng.integers(1, 5)] = True
+    return FreeSpace(blocked, np.ones_like(blocked), _ORIGIN, _CELL_M), rng
+
+
+def _free(space: FreeSpace, rng: np.random.Generator) -> Array:
+    """A random point in a free cell."""
+    row, col = rng.permutation(np.argwhere(~space.blocked))[0]
+    return space.centre(int(row), int(col)) + rng.uniform(-0.04, 0.04, 2)
+
+
+def _questions() -> Iterator[tuple[FreeSpace, Array, Array]]:
+    for seed in range(6):
+        space, rng = _space(seed, 0.05 + 0.06 * seed)
+        for _ in range(2):
+            yield space, _free(space, rng), _free(space, rng)
+
+
+@PLANNER_LAWS.law
+def a_path_joins_start_and_goal_through_free_cells_at_the_length_it_says(part: Any) -> None:
+    planner: Planner = make_planner(part)
+    for space, start, goal in _questions():
+        plan = planner.plan(space, start, goal)
+        fault = plan_fault(plan, space, start, goal)
+        assert not fault, fault
+        if plan.found:
+            length = float(np.linalg.norm(np.diff(plan.path_world, axis=0), axis=1).sum())
+            assert abs(plan.cost - length) < 1e-9
+            assert not plan.path_world.flags.writeable, "found a path that may be written to, allowed: a read-only one"
+
+
+@PLANNER_LAWS.law
+def a_path_is_found_only_where_there_is_one_and_no_shorter_than_any(part: Any) -> None:
+    planner, astar = make_planner(part), AStar()
+    for space, start, goal in _questions():
+        plan, shortest = planner.plan(space, start, goal), astar.plan(space, start, goal)
+        assert shortest.found or not plan.found, "found a path where there is none"
+        # A* goes over centres of cells: a path through any points may be shorter by a little more than a tenth.
+        assert not plan.found or plan.cost >= math.dist(start, goal) - 1e-9
+        assert plan.status != "no path" or not shortest.found, "found no path where there is one, allowed: gave up"
+
+
+@PLANNER_LAWS.law
+def what_stands_in_the_way_is_named_start_first(part: Any) -> None:
+    space, rng = _space(3)
+    inside = space.centre(*np.argwhere(space.blocked)[7].tolist())
+    free, planner = _free(space, rng), make_planner(part)
+    for start, goal, allowed in (
+        (inside, free, "start blocked"), (free, inside, "goal blocked"), (inside, inside, "start blocked"),
+    ):  # fmt: skip
+        plan = planner.plan(space, start, goal)
+        assert plan.status == allowed
+        assert plan.path_world.shape == (0, 2) and plan.cost == math.inf
+
+
+@PLANNER_LAWS.law
+def the_same_question_has_the_same_answer(part: Any) -> None:
+    one, other = make_planner(part), make_planner(part)
+    for space, start, goal in _questions():
+        plans: list[Plan] = [planner.plan(space, start, goal) for planner in (one, other, one)]
+        assert plans[0].status == plans[1].status == plans[2].status
+        assert np.array_equal(plans[0].path_world, plans[1].path_world)
+        assert plans[2].cost <= plans[0].cost + 1e-9
+
+
+@PLANNER_LAWS.law
+def unknown_cells_outside_the_space_are_free(part: Any) -> None:
+    space, _ = _space(5, 0.02)
+    start, goal = np.array([-2.6, 1.0]), np.array([-2.4, 3.1])
+    plan = make_planner(part).plan(space, start, goal)
+    assert plan.found
+    assert not plan_fault(plan, space.covering(start, goal), start, goal)
+
+
+@PLANNER_VALIDATION.law_for([(1.0,), (math.nan, 1.0), (1.0, 2.0, 3.0)])
+def an_end_that_is_no_point_raises_a_value_error(part: Any, bad: tuple[float, ...]) -> None:
+    space, rng = _space(4)
+    free, planner = _free(space, rng), make_planner(part)
+    for start, goal in ((np.array(bad), free), (free, np.array(bad))):
+        with raises(ValueError):
+            planner.plan(space, start, goal)
+
+
+class _Watched:
+    """An explorer, and what it has chosen from which view."""
+
+    def __init__(self, explorer: Explorer) -> None:
+        self._explorer = explorer
+        self.choices: list[tuple[Target | None, str]] = []
+        """each with what is wrong with it"""
+        self.has_changed_its_view = False
+
+    def next_target(self, view: ExplorationView) -> Target | None:
+        masks = view.free, view.unseen, view.reachable
+        before = [mask.copy() for mask in masks]
+        target = self._explorer.next_target(view)
+        self.has_changed_its_view |= not all(map(np.array_equal, before, masks))
+        fault = target_fault(view, target)
+        self.choices.append((target, fault))
+        return None if fault else target
+
+
+def _explored(part: Any) -> _Watched:
+    """The choices of an explorer, while a robot that jumps from view to view explores two rooms."""
+    config, pose = preset(), Pose(1.1, 0.9, 0.3)
+    x0, y0, x1, y1 = _ROOMS
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    walls = np.concatenate([np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), _BETWEEN])
+    grid = Grid(config.grid, _RADIUS_M)
+
+    def see() -> None:
+        ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
+        grid.add(pose, Scan.from_config(ranges, config.laser), np.zeros((0, 2, 2)))
+
+    see()
+    paths = PathPlanner(make_planner("astar"), config)
+    task = ExplorationTask(pose.position, _ROOMS, _RADIUS_M, paths, config, np.random.default_rng(4))
+    exploration = Exploration(task, grid, Estimate.of_pose(pose, np.zeros((3, 3))))
+    watched = _Watched(explorer_of(part, np.random.default_rng(7)))
+    exploration.explorer = watched
+    for _ in range(_MOST_CHOICES):
+        exploration.look(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
+        if exploration.state != "viewing" or exploration.outcome is not None:
+            break
+        x, y = exploration.driver.goal.tolist()
+        pose = Pose(x, y, 0.3)
+        see()
+        exploration.look(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
+        for event in _EVENTS:
+            if exploration.state == "viewing" and exploration.outcome is None:
+                exploration.handle(event, pose)
+    return watched
+
+
+@EXPLORER_LAWS.law
+def every_target_is_of_unseen_cells_and_seen_from_where_the_robot_can_drive(part: Any) -> None:
+    for _, fault in _explored(part).choices:
+        assert not fault, fault
+
+
+@EXPLORER_LAWS.law
+def the_exploration_ends(part: Any) -> None:
+    choices = _explored(part).choices
+    assert len(choices) < _MOST_CHOICES
+    assert choices[-1][0] is None, "found a target in the last choice, allowed: None when nothing is left to see"
+
+
+@EXPLORER_LAWS.law
+def the_other_room_is_looked_at(part: Any) -> None:
+    assert any(target is not None for target, _ in _explored(part).choices), "found no target, allowed: some"
+
+
+@EXPLORER_LAWS.law
+def the_same_map_and_generator_give_the_same_targets(part: Any) -> None:
+    one, other = (_explored(part).choices for _ in range(2))
+    assert len(one) == len(other)
+    for (first, _), (second, _) in zip(one, other, strict=True):
+        assert (first is None) == (second is None), "found a target and None"
+        if first is not None and second is not None:
+            assert np.array_equal(first.cells, second.cells)
+            assert np.array_equal(first.viewpoint, second.viewpoint)
+
+
+@EXPLORER_LAWS.law
+def the_view_stays_as_it_is(part: Any) -> None:
+    assert not _explored(part).has_changed_its_view, "found masks of the view that were written to"
+
+
+def explorer_of(part: Any, rng: np.random.Generator) -> Explorer:
+    """An explorer by its name or its class."""
+    factory = EXPLORERS.load(part) if isinstance(part, str) else part
+    made: Explorer = Part("explorer", factory, default_options(factory)).make(rng)
+    return made
