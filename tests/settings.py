@@ -25,7 +25,7 @@ def other(hint: Any, value: Any, step: float) -> Any:
     if origin is Annotated:
         for note in args[1:]:
             if isinstance(note, Parts):
-                return next(name for name in note if name != value)
+                return next((name for name in note if name != value), note.shipped[value])
             if isinstance(note, Range):
                 return next(found for found in candidates(args[0], value, step) if found in note)
         return other(args[0], value, step)

@@ -36,6 +36,8 @@ class _EstimateFields(TypedDict, total=False):
     front_end_options: Table
     extractor: str | Callable[..., Any]
     extractor_options: Table
+    place_search: str | Callable[..., Any]
+    place_search_options: Table
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool

@@ -131,6 +131,11 @@ EXTRACTORS = Parts(
     {"lines": f"{_SLAM}.features.extraction:LineExtractor"},
     lines="features",
 )
+PLACE_SEARCHES = Parts(
+    "place_search",
+    f"{_SLAM}.scans.place_search:PlaceSearch",
+    {"branch-and-bound": f"{_SLAM}.scans.place_search:BranchAndBound"},
+)
 EXPLORERS = Parts(
     "explorer",
     f"{_NAVIGATION}.explorer:Explorer",
@@ -139,7 +144,7 @@ EXPLORERS = Parts(
         "random": f"{_NAVIGATION}.explorer:RandomExplorer",
     },
 )
-KINDS = (ESTIMATORS, FRONT_ENDS, EXTRACTORS, PLANNERS, EXPLORERS)
+KINDS = (ESTIMATORS, FRONT_ENDS, EXTRACTORS, PLACE_SEARCHES, PLANNERS, EXPLORERS)
 """all kinds of parts, in the order of their use"""
 
 FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")

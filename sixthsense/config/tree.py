@@ -15,6 +15,7 @@ from sixthsense.config.parts import (
     FRONT_ENDS,
     KEEP_POSES,
     KINDS,
+    PLACE_SEARCHES,
     PLANNERS,
     PartOptions,
     Parts,
@@ -58,6 +59,9 @@ class Config(Section):
     extractor: Annotated[str, EXTRACTORS] = "lines"
     """What finds landmarks in a scan: lines, or your own. lines: walls, corners and free ends; `features` has its
     options."""
+    place_search: Annotated[str, PLACE_SEARCHES] = "branch-and-bound"
+    """What proposes old places that the robot may be at again: branch-and-bound, or your own. With front_end
+    scan-matching; what is proposed is judged and verified in any case."""
     calibrate_wheels: bool = False
     """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
     prior is in assumed.wheels."""
@@ -99,6 +103,8 @@ class Config(Section):
     """Options of a front end that is not shipped, by name."""
     extractor_options: PartOptions = field(default_factory=PartOptions)
     """Options of an extractor that is not shipped, by name."""
+    place_search_options: PartOptions = field(default_factory=PartOptions)
+    """Options of a place search that is not shipped, by name."""
     planner_options: PartOptions = field(default_factory=PartOptions)
     """Options of a planner that is not shipped, by name."""
     explorer_options: PartOptions = field(default_factory=PartOptions)

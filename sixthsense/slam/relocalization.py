@@ -26,11 +26,13 @@ from sixthsense.slam.scans.map_views import MapViews
 from sixthsense.slam.scans.place_search import (
     Candidate,
     ExpectedPoses,
+    PlaceQuery,
     Votes,
     best_place,
     distinct,
     is_same_place,
     judged,
+    place_search_of,
     proposed,
     vote_for,
 )
@@ -58,6 +60,7 @@ class Relocalizer:
         A place that agrees with one of `expected`, each a `T_map_own`, needs no second find.
         """
         self._evidence, self._config, self._expected = evidence, config, tuple(expected)
+        self._search = place_search_of(config)
         self._views: MapViews | None = None
         """from the first scan on"""
         self._votes: Votes | None = None
@@ -81,7 +84,8 @@ class Relocalizer:
         views, laser = self._views, pose @ scan.T_robot_laser
         key = views.add(scan, laser, self.driven_m)
         anywhere = ExpectedPoses.anywhere(len(views.anchors))
-        found = best_place(views, key, views.travelled_m, views, anywhere, self._config.scans.min_score)
+        query = PlaceQuery(views, key, views.travelled_m, views, anywhere, self._config.scans.min_score)
+        found = best_place(query, self._search)
         if found is None or found.is_ambiguous:
             return None
         self.place = Pose.from_array(found.pose) @ laser.inverse()

@@ -12,6 +12,7 @@ from sixthsense.navigation.planners import PlannerFactory
 from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.front_end import FrontEnd
+from sixthsense.slam.scans.place_search import PlaceSearch
 from sixthsense.testing import contract, edges, posterior, walls
 from sixthsense.testing.estimation import make
 from sixthsense.testing.laws import Verdicts, verdicts_of
@@ -56,6 +57,14 @@ def check_front_end(front_end: str | Callable[..., FrontEnd]) -> Verdicts:
     from sixthsense.testing.perception import FRONT_END_LAWS, FRONT_END_STATISTICS
 
     return verdicts_of((*FRONT_END_STATISTICS, *FRONT_END_LAWS), front_end)
+
+
+def check_place_search(place_search: str | Callable[..., PlaceSearch]) -> Verdicts:
+    """Test a place search, named or its class, against all laws of the `PlaceSearch` contract, in three rooms."""
+    from sixthsense.testing.places import LAWS as LAWS_OF_PLACES
+    from sixthsense.testing.places import STATISTICS
+
+    return verdicts_of((*STATISTICS, *LAWS_OF_PLACES), place_search)
 
 
 def _refusal_of_walls(estimator: str | EstimatorFactory) -> str:

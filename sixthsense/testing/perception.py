@@ -30,7 +30,7 @@ FRONT_END_STATISTICS, FRONT_END_LAWS = Laws("statistics"), Laws()
 
 _CORNERS = np.array([(-3.1, -2.2), (3.7, -2.2), (3.7, 2.6), (0.9, 2.6), (0.9, 4.3), (-3.1, 4.3)])
 _FREE_WALLS = np.array([[[-1.2, -2.2], [-1.2, -0.7]], [[1.9, 0.4], [1.9, 1.4]]])
-_WALLS = np.concatenate([np.stack([_CORNERS, np.roll(_CORNERS, -1, axis=0)], axis=1), _FREE_WALLS])
+ROOM = np.concatenate([np.stack([_CORNERS, np.roll(_CORNERS, -1, axis=0)], axis=1), _FREE_WALLS])
 """(8, 2, 2) a room with a nook, and two walls with free ends"""
 _POINTS = np.concatenate([_CORNERS, [(-1.2, -0.7), (1.9, 0.4), (1.9, 1.4)]])
 _POSES = [Pose(-2.1, -1.3, 0.4), Pose(0.6, -0.9, 2.2), Pose(-1.4, 1.7, -1.1), Pose(2.7, 1.9, 3.0)]
@@ -53,7 +53,7 @@ def extractor_of(part: Any, config: Config) -> Extractor:
 
 def _scan(pose: Pose, config: Config, rng: np.random.Generator) -> Scan:
     mount = Pose(*config.laser.mount)
-    ranges = cast_rays(pose @ mount, beam_bearings(config.laser), _WALLS, config.laser.max_range)
+    ranges = cast_rays(pose @ mount, beam_bearings(config.laser), ROOM, config.laser.max_range)
     return Scan.from_config(ranges + rng.normal(0.0, config.assumed.laser.range_m, len(ranges)), config.laser)
 
 
@@ -72,7 +72,7 @@ def _seen(part: Any) -> list[tuple[Pose, Observation]]:
 def _error(pose: Pose, observation: Observation) -> float:
     """Smallest squared Mahalanobis distance of an observation from what is there."""
     if observation.kind == Kind.WALL:
-        places = np.array([_wall_from(pose, wall) for wall in _WALLS])
+        places = np.array([_wall_from(pose, wall) for wall in ROOM])
     else:
         places = pose.inverse() @ _POINTS
     off = observation.z - places
@@ -82,10 +82,10 @@ def _error(pose: Pose, observation: Observation) -> float:
 
 
 def _wall_from(pose: Pose, wall: Array) -> Array:
-    """(alpha, d) of a wall in the robot's frame."""
+    """(alpha, d) of a wall in the robot's frame; its normal points to the robot."""
     a, b = pose.inverse() @ wall
     normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)
-    normal = normal if normal @ a >= 0.0 else -normal
+    normal = normal if normal @ a <= 0.0 else -normal
     return np.array([np.arctan2(normal[1], normal[0]), normal @ a])
 
 
@@ -157,7 +157,7 @@ class Driven(NamedTuple):
 def _driven(part: Any, seed: int, count: int = 400) -> Driven:
     """A drive on an eight through the room."""
     config = preset(estimator="isam2", seed=seed)
-    world = World(_WALLS, Pose(-2.2, -0.1, 0.3), 0.15, config, np.random.default_rng(seed))
+    world = World(ROOM, Pose(-2.2, -0.1, 0.3), 0.15, config, np.random.default_rng(seed))
     tick, start, cov = world.step(Command()), Pose(-2.2, -0.1, 0.3), np.zeros((3, 3))
     estimator = make_estimator("isam2", start, cov, config.isam2)
     motion, faults, keyframes = make_motion(config, estimator), list[str](), 0

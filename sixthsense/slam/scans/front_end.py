@@ -36,6 +36,7 @@ from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import REACH_M, REACH_RAD, ScanGraph
 from sixthsense.slam.scans.links import private_covariance, reported
 from sixthsense.slam.scans.loop_closures import LoopClosures
+from sixthsense.slam.scans.place_search import place_search_of
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import (
     NEAREST,
@@ -74,7 +75,7 @@ class ScanFrontEnd:
         self._has_final_pass = config.scans.final_pass and not is_guide
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
-        self.loop_closures = LoopClosures(config.scans, self._graph)
+        self.loop_closures = LoopClosures(config.scans, self._graph, place_search_of(config))
         """the search for old places, with what it has found"""
         self.counts = self.loop_closures.counts if config.scans.loop_closures else None
         """what the search has come to so far; None where it is switched off"""

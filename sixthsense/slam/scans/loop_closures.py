@@ -28,6 +28,8 @@ from sixthsense.slam.scans.place_search import (
     NEW_M,
     RECENT_M,
     ExpectedPoses,
+    PlaceQuery,
+    PlaceSearch,
     Vote,
     Votes,
     best_place,
@@ -48,8 +50,8 @@ _APART_M = 100.0  # of travel where the robot was carried: neither submap nor vo
 class LoopClosures:
     """Finds old places, and links keyframes to them."""
 
-    def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
-        self._graph = graph
+    def __init__(self, config: ScansConfig, graph: ScanGraph, search: PlaceSearch) -> None:
+        self._graph, self._search = graph, search
         self.closings = Closings(graph)
         self._thinning = Thinning(graph, self.closings)
         self._min_score = config.min_score
@@ -135,7 +137,8 @@ class LoopClosures:
         travelled_m = self._travelled[: self._graph.count]
         self._passes.seek(key, old, travelled_m)
         expected = self._passes.expected(key, sigma_m, sigma_rad)
-        found = best_place(self._graph, key, travelled_m, self._passes, expected, self._min_score)
+        query = PlaceQuery(self._graph, key, travelled_m, self._passes, expected, self._min_score)
+        found = best_place(query, self._search)
         if found is None:
             return
         if found.is_ambiguous:

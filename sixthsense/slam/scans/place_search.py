@@ -19,6 +19,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config import Config
+from sixthsense.config.errors import PartError
+from sixthsense.config.parts import PLACE_SEARCHES
+from sixthsense.config.section import shown
+from sixthsense.config.tree import part_of
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.se2 import between, compose, inverse
 from sixthsense.slam.scans.alignment import HITS
@@ -147,16 +152,83 @@ class Hypothesis(NamedTuple):
     """whether another place is nearly as good"""
 
 
-def best_place(
-    scans: PlacedScans, key: int, travelled_m: Array, places: KnownPlaces, expected: ExpectedPoses, min_score: float
-) -> Hypothesis | None:
-    """The best pose of scan `key` among known places; None if none is good enough.
+class PlaceQuery(NamedTuple):
+    """What is asked: where scan `key` may be among known places."""
 
-    `travelled_m` (K,) is at each scan. A good place explains at least the share `min_score` of the points that scans
-    usually agree in.
+    scans: PlacedScans
+    key: int
+    """row of the newest scan"""
+    travelled_m: Array
+    """(K,) at each scan"""
+    places: KnownPlaces
+    expected: ExpectedPoses
+    """where the scan is by the track, in the frame of each place"""
+    min_score: float
+    """least share of the points, of those in which scans usually agree, that a place must explain"""
+
+
+class PlaceSearch(Protocol):
+    """Proposes where the newest scan may be among what is known: among earlier passes, and where a robot is lost.
+
+    It is made with an object of its `Options`, if it has any, and without arguments otherwise. What it proposes is no
+    evidence: the scans of the last metres judge it, pairs of scans verify it, and two that are metres apart must agree.
+
+    1. A candidate's `pose` (3,) is that of the scan's laser, m and rad, in the frame of `places.anchors`; `score` is
+       between 0 and 1; `known` is `places.surroundings` of a place around it.
+    2. Candidates are of different places, the best score first.
+    3. Where no place is good enough there is none; that is no error.
+    4. The same query gives the same bits, and scans and places stay as they are.
     """
-    found = proposed(scans, key, travelled_m, places, expected, min_score)
-    return judged(scans, followed_back(travelled_m, key), found) if found else None
+
+    def propose(self, query: PlaceQuery) -> Sequence[Candidate]:
+        """Propose places of the newest scan."""
+
+
+class BranchAndBound:
+    """What was seen on the last metres, searched for in the likeliest submaps."""
+
+    def propose(self, query: PlaceQuery) -> Sequence[Candidate]:
+        """Propose places that explain enough of what was seen."""
+        return proposed(*query)
+
+
+class _Checked:
+    """A place search that is not shipped: PartError where it breaks its contract."""
+
+    def __init__(self, search: PlaceSearch, name: str) -> None:
+        self._search, self._name = search, name
+
+    def propose(self, query: PlaceQuery) -> Sequence[Candidate]:
+        found = self._search.propose(query)
+        if fault := candidates_fault(found):
+            raise PartError(self._name, f"propose: {fault}")
+        return found
+
+
+def place_search_of(config: Config) -> PlaceSearch:
+    """The configured place search."""
+    part = part_of(config, PLACE_SEARCHES)
+    search: PlaceSearch = part.make()
+    return search if part.is_shipped else _Checked(search, part.name)
+
+
+def candidates_fault(found: object) -> str:
+    """What is wrong with the candidates of a place search; "" if nothing."""
+    if not isinstance(found, Sequence) or not all(isinstance(one, Candidate) for one in found):
+        return f"found {type(found).__name__} {shown(found)}, allowed: a list of Candidate"
+    for one in found:
+        if np.shape(one.pose) != (3,) or not np.isfinite(one.pose).all():
+            return f"found a pose {np.asarray(one.pose).tolist()}, allowed: (3,) finite numbers"
+        if not 0.0 <= one.score <= 1.0:
+            return f"found a score of {one.score}, allowed: 0 to 1"
+    scores = [one.score for one in found]
+    return f"found scores {scores}, allowed: the best first" if scores != sorted(scores, reverse=True) else ""
+
+
+def best_place(query: PlaceQuery, search: PlaceSearch) -> Hypothesis | None:
+    """The best pose of the newest scan by all that `search` proposes; None if nothing is good enough."""
+    found = search.propose(query)
+    return judged(query.scans, followed_back(query.travelled_m, query.key), found) if found else None
 
 
 def proposed(
