@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import sixthsense as ss
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, innovations, predict
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.slam.estimators import Estimate, Link
@@ -32,7 +32,7 @@ TOURS, TOUR_S = ("apartment", "office"), 120.0
 LOGS = ("fr079", "intel")
 _LAYERS = 5
 """in which a scan is stood up: a plane in three dimensions for each wall"""
-_FLOOR = 1e-10 * np.eye(3)
+_FLOOR = 1e-13 * np.eye(3)
 """added to covariances of motions, which may be zero; m^2 and rad^2"""
 _ITERATIONS, _SMALL = 5, 1e-8
 
@@ -74,7 +74,7 @@ class Gicp:
         import small_gicp
 
         initial = np.eye(4)
-        initial[:2, :2], initial[:2, 3] = guess.rotation, guess.position
+        initial[:2, :2], initial[:2, 3] = rotation(guess.theta), guess.position
         found = small_gicp.align(
             before, after, initial, "PLANE_ICP", downsampling_resolution=0.05, max_correspondence_distance=0.3,
             num_threads=1, max_iterations=30,
@@ -85,7 +85,7 @@ class Gicp:
         T = np.asarray(found.T_target_source)
         motion = Pose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
         turn = np.eye(3)
-        turn[:2, :2] = motion.rotation
+        turn[:2, :2] = rotation(motion.theta)
         cov = turn @ np.linalg.inv(H) @ turn.T * 2.0 * self._sigma_m**2
         return Odometry(motion, 0.5 * (cov + cov.T))
 
@@ -137,8 +137,8 @@ class LeastSquares:
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Forget landmarks, not what they told."""
-        for i in list(ids):
-            del self._rows[i]
+        rows = {i: self._rows[i] for i in ids}  # KeyError for an unknown one, before anything has changed
+        self._rows = {i: row for i, row in self._rows.items() if i not in rows}
 
     def estimate(self) -> Estimate:
         """The pose now, and the landmarks."""

@@ -33,18 +33,22 @@ class Family:
     forgets_evidence: bool = False
     """Whether forgetting a landmark removes its information about the poses."""
 
+    still: float = 0.0
+    """Largest difference of two results between which nothing has changed."""
     step_rounding: float = 1e-9
     """Largest difference of a covariance after a motion noise of a micrometre; (m, rad) squared."""
 
 
 FILTER, SMOOTHER = Family(), Family(polar=True, rounding=1e-9, forgets_evidence=True, step_rounding=1e-5)
+OTHER = Family(rounding=1e-9, still=1e-9, step_rounding=1e-5)
+"""of an estimator that is not shipped: it may solve anew where nothing has changed"""
 FAMILIES = {name: FILTER for name in ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")} | {"isam2": SMOOTHER}
 CONSISTENT = ("ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 
 
 def family(name: str | EstimatorFactory) -> Family:
-    """The family of an estimator; one that is not shipped counts as a filter."""
-    return FAMILIES.get(name, FILTER) if isinstance(name, str) else FILTER
+    """The family of an estimator; one that is not shipped counts as a filter that rounds."""
+    return FAMILIES.get(name, OTHER) if isinstance(name, str) else OTHER
 
 
 def make(
