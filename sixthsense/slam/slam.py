@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config
+from sixthsense.config.errors import PartError
 from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import part_of
@@ -260,6 +261,9 @@ class Slam:
 
     def _taken(self, keyframe: Keyframe) -> Keyframe:
         """A keyframe with its covariance as it is reported; the calibrations' newest values are used from now on."""
+        if not isinstance(keyframe, Keyframe):
+            found = f"take: found a {type(keyframe).__name__}, allowed: a Keyframe, or None"
+            raise PartError(f"front_end {self.config.front_end}", found)
         if self._sensor is not None:
             keyframe = self._sensor.keyframe(keyframe)
         self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures

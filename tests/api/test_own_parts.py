@@ -115,7 +115,7 @@ BREACHES = {
                   {"task": "tour"}, "extract: observation 0: found cov .* with an eigenvalue of -"),
     "front_end": ("class Bad:\n    def __init__(self, setup): self.pose = setup.start\n"
                   "    def take(self, evidence): return evidence.scan.ranges[3]\n",
-                  {"task": "tour"}, "take raised AttributeError|has no attribute"),
+                  {"task": "tour"}, "take: found a float32, allowed: a Keyframe, or None"),
 }  # fmt: skip
 """of each kind one that breaks its contract, a run, and what is said of it"""
 

@@ -30,7 +30,7 @@ OUTCOMES = {
 
 def ended(outcome: str, level: str | None = None) -> Any:
     verdict = None if level is None else SimpleNamespace(level=level)
-    metrics, trace = {"outcome": outcome, "scans": 3, "keyframes": 2}, SimpleNamespace(left=[])
+    metrics, trace = {"outcome": outcome, "scans": 3, "keyframes": 2}, SimpleNamespace(left=[], config=Config())
     return SimpleNamespace(outcome=outcome, metrics=metrics, trace=trace, folder=Path("a b"), verdict=verdict)
 
 
