@@ -49,8 +49,10 @@ class LandmarkFrontEnd:
     ) -> None:
         """Begin at `start`, `T_world_robot`."""
         self._config, self._estimator, self._associator = config, estimator, associator
-        self._extractor, self._pose, self._clock = extractor, start, clock
-        self._since = STANDSTILL
+        self._extractor, self._clock = extractor, clock
+        self.pose = start
+        """`T_world_robot`: the last estimate, and the odometry since"""
+        self.since = STANDSTILL
         """odometry since the last keyframe"""
         self._keyframes = 0
         self._guide = guide
@@ -58,21 +60,11 @@ class LandmarkFrontEnd:
         self._is_at_guide = True
         """whether the last keyframe is one of the guide's, not of observations that the log gives"""
 
-    @property
-    def pose(self) -> Pose:
-        """`T_world_robot`: the last estimate, and the odometry since."""
-        return self._pose
-
-    @property
-    def since(self) -> Odometry:
-        """Odometry since the last keyframe."""
-        return self._since
-
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
         if evidence.increment is not None:
-            self._since = self._since.then(evidence.increment)
-            self._pose = self._pose @ evidence.increment.motion
+            self.since = self.since.then(evidence.increment)
+            self.pose = self.pose @ evidence.increment.motion
         motion = self._keyframe_motion(evidence)
         if motion is None:
             return None
@@ -92,7 +84,7 @@ class LandmarkFrontEnd:
         predicted = self._estimator.estimate()
         with self._clock("update"):
             estimate = self._updated(association, evidence.closures)
-        self._pose, index, self._keyframes = estimate.pose, self._keyframes, self._keyframes + 1
+        self.pose, index, self._keyframes = estimate.pose, self._keyframes, self._keyframes + 1
         if self._guide is not None and evidence.scan is not None:
             seen, records = association.observations, self._associator.records
             self._proposed.remember(self._guide.newest, estimate, seen, records)
@@ -106,7 +98,7 @@ class LandmarkFrontEnd:
 
     def _taken(self) -> Odometry:
         """The motion since the last keyframe; the sum starts again from zero."""
-        since, self._since = self._since, STANDSTILL
+        since, self.since = self.since, STANDSTILL
         return since
 
     def _keyframe_motion(self, evidence: Evidence) -> Odometry | None:
@@ -120,7 +112,7 @@ class LandmarkFrontEnd:
             if evidence.scan is not None:
                 return None if guided is None else self._guided_motion(guided)
         elif evidence.scan is not None:
-            is_used = self._keyframes == 0 or is_due(self._since.motion, self._since, self._config.keyframes)
+            is_used = self._keyframes == 0 or is_due(self.since.motion, self.since, self._config.keyframes)
             return self._taken() if is_used else None
         if not evidence.observations and evidence.closures is None:
             return None

@@ -71,7 +71,9 @@ class ScanFrontEnd:
     ) -> None:
         """Begin at `start`, `T_world_robot`; `is_guide` is whether only what it proposes is used, as it comes."""
         self._sources, self._clock = motion, clock
-        self._config, self._estimator, self._pose = config, estimator, start
+        self._config, self._estimator = config, estimator
+        self.pose = start
+        """`T_world_robot`: that of the last scan, and the odometry since"""
         self._has_final_pass = config.scans.final_pass and not is_guide
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
@@ -96,14 +98,9 @@ class ScanFrontEnd:
         """(3, 3) private covariance of the first scan, once there is one"""
 
     @property
-    def pose(self) -> Pose:
-        """`T_world_robot`: that of the last scan, and the odometry since."""
-        return self._pose
-
-    @property
     def since(self) -> Odometry:
         """Motion since the last keyframe, by the last scan and the odometry since."""
-        motion = self._T_key_world @ self._pose if self._store.count else self._since.motion
+        motion = self._T_key_world @ self.pose if self._store.count else self._since.motion
         return Odometry(motion, self._sources.present.at_end(self._since).cov)
 
     def take(self, evidence: Evidence) -> Keyframe | None:
@@ -111,7 +108,7 @@ class ScanFrontEnd:
         source, increment, scan = self._sources.present, evidence.increment, evidence.still
         if increment is not None:
             self._since = self._since.then(increment)
-            self._pose = self._pose @ increment.motion
+            self.pose = self.pose @ increment.motion
             self._is_carried |= not source.is_guess and increment.is_carried()
         if scan is None:
             return None
@@ -120,7 +117,7 @@ class ScanFrontEnd:
             tracked = self._tracked(scan)
         # An aligned scan is no reason to forget what wheels have measured.
         found = source.aligned(self._since, self._found(tracked)) if isinstance(source, LastVelocity) else self._since
-        moved = self._T_key_world @ self._pose
+        moved = self._T_key_world @ self.pose
         is_new = self._is_carried or not self._store.count
         if not (is_new or is_due(moved, self._since, self._config.keyframes)):
             self._since = found
@@ -189,7 +186,7 @@ class ScanFrontEnd:
         if tracked.is_lost:
             return None
         graph.usual = tracked.usual
-        self._pose = Pose(*composed(triple(at), inverted(self._mount)))
+        self.pose = Pose(*composed(triple(at), inverted(self._mount)))
         return tracked
 
     def _found(self, tracked: Tracked | None) -> Odometry | None:
@@ -250,7 +247,7 @@ class ScanFrontEnd:
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""
         estimate = self._reported(self._estimator.estimate())
-        self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
+        self.pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = LastScan(self._graph.poses[-1].copy(), Pose().triple(), self._last.motion)
         if self._has_final_pass:
             self._scans.append(TrackedScan(None, self._graph.count - 1, STANDSTILL, Pose()))
