@@ -53,6 +53,16 @@ def test_nothing_is_said_against_wheels_where_nothing_is_seen():
     assert found.pose == pytest.approx(TRUE.array(), abs=1e-9)
 
 
+def test_a_tracked_pose_is_as_certain_as_the_wheels_and_the_scan_together():
+    views, prior = views_and_prior(scan_at(TRUE), TRUE, (0.02, 0.05, 0.03))
+    for is_guess in (False, True):
+        found = track(views, prior, TRUE.array()[None], USUAL, is_guess)
+        assert np.allclose(found.cov, np.linalg.inv(prior.information + found.information), rtol=1e-9)
+        assert np.linalg.eigvalsh(found.information)[0] >= 0.0
+        off = found.pose - prior.pose
+        assert found.off == pytest.approx(off) and found.slip == pytest.approx(off @ prior.information @ off)
+
+
 def test_informations_are_inverses_of_the_lasers_covariances_in_the_worlds_axes():
     rng, mount = np.random.default_rng(0), (0.3, -0.2, 0.7)
     keys, motions = rng.uniform(-4, 4, size=(2, 7, 3))
