@@ -20,6 +20,7 @@ from sixthsense.auditing.pairing import (
 from sixthsense.auditing.pairs import Hat, pair_findings, three_cornered_hat
 from sixthsense.auditing.poses import Frame, Poses
 from sixthsense.auditing.result import Audit, axis_notes, read_as
+from sixthsense.auditing.scores import TrajectoryErrors, pooled, scores, trajectory_errors
 from sixthsense.auditing.statistics import findings, is_other_frame
 from sixthsense.config.errors import InputError
 
@@ -34,6 +35,7 @@ class _Compared:
     other: Errors
     """with the covariances read in the other frame"""
     offset_s: float | None
+    trajectory: TrajectoryErrors
     notes: tuple[str, ...]
 
 
@@ -116,7 +118,10 @@ def _audit_truth(runs: list[_Compared], options: Options) -> Audit:
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
     words = read_as(read, found.dof, options.order, options.frame is None and bool(first.frames[0]))
     offsets = tuple(run.offset_s for run in runs if run.offset_s is not None) or None
-    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes))
+    trajectory = pooled([(len(run.truth), run.trajectory) for run in runs])
+    return Audit(
+        found, scores(own), tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory
+    )
 
 
 def _matched(
@@ -156,7 +161,7 @@ def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options)
     check_is_not_the_truth(pair)
     motion = aligned(pair, align, frame)
     own, other = (errors_of(pair, motion, align, one) for one in (frame, _other(frame)))
-    return _Compared(estimate, pair.truth, own, other, offset_s, pair.notes)
+    return _Compared(estimate, pair.truth, own, other, offset_s, trajectory_errors(pair), pair.notes)
 
 
 def _audit_pair(sources: list[Source], covariance: str | Path | list[str | Path] | None, options: Options) -> Audit:
@@ -181,7 +186,8 @@ def _audit_pair(sources: list[Source], covariance: str | Path | list[str | Path]
     words = read_as(read, found.dof, options.order, options.frame is None and bool(systems[0].frames[0]))
     names = systems[0].name, " and ".join(system.name for system in systems[1:])
     offsets = None if first.offset_s is None else (first.offset_s,)
-    return Audit(found, (first.errors,), read, align, words, names, offsets, first.notes, judged)
+    judged_by, told = scores([first.errors]), (first.errors,)
+    return Audit(found, judged_by, told, read, align, words, names, offsets, first.notes, None, judged)
 
 
 def _hats(systems: list[Poses], align: Align, options: Options) -> tuple[Hat, ...]:

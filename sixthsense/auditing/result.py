@@ -14,6 +14,7 @@ import numpy as np
 from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.pairs import LEAST_OF_A_PAIR, PairFindings
 from sixthsense.auditing.poses import Frame
+from sixthsense.auditing.scores import LEVELS, Score, TrajectoryErrors
 from sixthsense.auditing.statistics import AXES, Factor, Findings, Outcome, factor
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
@@ -47,6 +48,8 @@ class Audit:
 
     findings: Findings
     """NEES with its band, factors with their intervals, by axis and over time"""
+    scores: dict[str, Score]
+    """coverage and log score of `pose`, `position` and `rotation`"""
     runs: tuple[Errors, ...]
     """errors and covariances, after alignment"""
     frame: Frame
@@ -61,6 +64,8 @@ class Audit:
     """seconds added to the stamps of each estimate; None if no offset was searched"""
     notes: tuple[str, ...]
     """what a user should know, a line each"""
+    trajectory: TrajectoryErrors | None
+    """errors without covariances, as evo has them; None for a pair"""
     pair: PairFindings | None = None
     """what two systems say of each other, without a truth; `findings` are then those of their differences"""
 
@@ -79,6 +84,9 @@ class Audit:
         if self.pair is not None:
             rows = [("pair" if label == "truth" else label, text) for label, text in rows]
             rows += _pair_lines(self.pair, self.names)
+        rows += [("coverage", _coverage(self.scores)), ("log score", _log_score(self.scores["pose"]))]
+        if self.trajectory is not None:
+            rows.append(("trajectory", _trajectory(self.trajectory)))
         if self.time_offset_s is not None:
             shown = ", ".join(f"{1e3 * offset:+.1f} ms" for offset in self.time_offset_s)
             rows.append(("time offset", f"{shown} added to the stamps of the estimate"))
@@ -92,7 +100,9 @@ class Audit:
             {
                 "verdict": self.verdict, "outcome": self.outcome, "read_as": self.read_as, "frame": self.frame,
                 "align": self.align, "estimate": self.names[0], "truth": self.names[1], "pair": None,
-                "time_offset_s": self.time_offset_s, "runs": len(self.runs), **numbers, "notes": self.notes,
+                "time_offset_s": self.time_offset_s, "runs": len(self.runs), **numbers,
+                "scores": {name: asdict(one) for name, one in self.scores.items()},
+                "trajectory": None if self.trajectory is None else asdict(self.trajectory), "notes": self.notes,
             }
         )  # fmt: skip
         if self.pair is not None:
@@ -225,13 +235,33 @@ def _lines(found: Findings, align: Align, names: tuple[str, str]) -> Iterator[tu
     yield "samples", f"{found.poses:,} correlated poses are worth {_short(found.samples)} independent ones"
     low, high = found.band
     yield "NEES", f"{_short(found.nees)} on average; {_short(low)} to {_short(high)} is consistent"
-    yield "inside 95 %", f"{100.0 * found.inside:.1f} % of the poses"
     ratios = (f"{name} {_ratio(one)}" for name, one in found.axes.items())
     yield "by axis", f"errors over stated sigmas: {', '.join(ratios)}"
     parts = ", ".join("-" if math.isnan(part) else _short(part) for part in found.parts)
     yield "over time", f"NEES in {len(found.parts)} equal parts: {parts}"
     low, high = found.factor.interval
     yield "factor", f"{_short(found.factor.value)} for the covariance, {_short(low)} to {_short(high)} with 95 %"
+
+
+def _coverage(scores: dict[str, Score]) -> str:
+    """What lies inside the regions of the levels."""
+    levels = ", ".join(f"{100.0 * level:.0f}" for level in LEVELS)
+    shares = (
+        f"{name} {', '.join(f'{100.0 * share:.0f}' for share in one.coverage.values())} (of {_short(one.samples)})"
+        for name, one in scores.items()
+    )
+    return f"inside the regions of {levels} %: {'; '.join(shares)}"
+
+
+def _log_score(one: Score) -> str:
+    return f"{one.log_score:.2f} nats on average; {one.scaled_log_score:.2f} with the covariance times the factor"
+
+
+def _trajectory(errors: TrajectoryErrors) -> str:
+    return (
+        f"ATE {errors.ate_m:.3f} m, {errors.aligned_ate_m:.3f} m aligned; from pose to pose RPE {errors.rpe_m:.4f} m, "
+        f"{errors.rpe_deg:.3f}°"
+    )
 
 
 def _ratio(one: Factor) -> str:
