@@ -2,6 +2,9 @@
 
 No damage moves the laser. The relations stay true, up to mirroring and the direction of time. Only ticks with a scan
 are kept, in `clean` too, which the others are to be compared with. Scans are taken to be instantaneous.
+
+Two make a log twice as long: `returned` drives it and comes back the same way by worse wheels, `joined` goes on through
+a corridor into the mirror image of the building, in which every place looks nearly like one that was seen.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.log import Log, Relations
 from sixthsense.sources.logs.stamps import matched
@@ -34,6 +38,7 @@ _WRONG_SCALE, _DRIFT_RAD_PER_M = 0.05, 0.04
 _PEOPLE_SCANS, _MOST_PEOPLE, _PEOPLE_M, _NEAREST_M = 100, 4, (0.5, 4.0), 0.4
 _PACE_M, _LEG_APART_M, _LEG_M, _LEG_SIGMA_M = 0.02, 0.15, 0.08, 0.02  # pace per scan; half the distance and the width
 _ROUGH_M, _ROUGH_SHARE, _LEAST_M = 0.03, 0.1, 0.05
+_CORRIDOR_M, _HALF_WIDTH_M, _STEP_M, _STEP_S, _ODOMETRY_M = 25.0, 1.1, 0.15, 0.3, 0.002
 
 
 class DamagedLog(NamedTuple):
@@ -55,7 +60,9 @@ def damaged(name: str, log: Log, relations: Relations, seed: int) -> DamagedLog:
             laser = dataclasses.replace(laser, mount=(x, -y, -theta))
     if name == "backwards":
         stamps = sum(_ends_s(ticks)) - stamps
-    changed = Log(DAMAGES[name](ticks, rng), laser)
+    if name in LONGER:
+        ticks, stamps, poses = LONGER[name](ticks, rng, stamps, poses)
+    changed = Log(DAMAGES[name](ticks, rng) if name in DAMAGES else ticks, laser)
     known = (matched(_stamps_s(changed.ticks), stamps) >= 0).all(axis=1)
     return DamagedLog(changed, Relations(stamps[known], poses[known]))
 
@@ -172,6 +179,54 @@ DAMAGES: dict[str, Callable[[Ticks, np.random.Generator], Ticks]] = {
     damage.__name__: damage
     for damage in (clean, gaps, blanks, bumps, spins, wheels, people, rough, mirrored, backwards)
 }
+
+
+def returned(ticks: Ticks, rng: np.random.Generator, stamps: Array, poses: Array) -> tuple[Ticks, Array, Array]:
+    """Driven once more from the end back to the start, with the errors of `wheels` from there on.
+
+    The relations hold on both ways, and each place of them is the same on both.
+    """
+    end_s = _ends_s(ticks)[1]
+    back = [_later(tick, 2 * (ticks[-1].stamp_ns - tick.stamp_ns)) for tick in reversed(ticks[:-1])]
+    both = [*ticks, *back]
+    wrong = _steps(wheels(both, rng))
+    steps = np.concatenate([_steps(ticks), wrong[len(ticks) - 1 :]])
+    again = 2.0 * end_s - stamps
+    same = np.column_stack([stamps[:, 0], again[:, 0]]), np.zeros_like(poses)
+    return _with_steps(both, steps), np.concatenate([stamps, again, same[0]]), np.concatenate([poses, poses, same[1]])
+
+
+def joined(ticks: Ticks, rng: np.random.Generator, stamps: Array, poses: Array) -> tuple[Ticks, Array, Array]:
+    """Driven on through a corridor without doors into the mirror image of the building."""
+    scan, count = _scans(ticks)[0], round(_CORRIDOR_M / _STEP_M)
+    sides = np.array([[[-5.0, y], [_CORRIDOR_M + 5.0, y]] for y in (-_HALF_WIDTH_M, _HALF_WIDTH_M)])
+    last, found = ticks[-1], list(ticks)
+    for k in range(1, count + 1):
+        at = Pose(k * _STEP_M, 0.0, 0.0)
+        ranges = cast_rays(at @ scan.T_robot_laser, scan.bearings, sides, float(scan.max_range))
+        ranges = ranges + rng.normal(0.0, 0.01, len(ranges))
+        seen = np.where(ranges < scan.max_range, ranges, math.inf).astype(np.float32)
+        driven = at @ Pose(*rng.normal(0.0, _ODOMETRY_M, 3))
+        tick = dataclasses.replace(last, odometry=last.odometry @ driven, scan=dataclasses.replace(scan, ranges=seen))
+        found.append(_later(tick, round(1e9 * _STEP_S * k)))
+    begin = found[-1]
+    later_ns = begin.stamp_ns + round(1e9 * _STEP_S) - ticks[0].stamp_ns
+    for tick in mirrored(ticks, rng):
+        own = ticks[0].odometry.inverse()
+        moved = begin.odometry @ _mirror(own) @ tick.odometry
+        found.append(_later(dataclasses.replace(tick, odometry=moved), later_ns))
+    turned = np.column_stack([poses[:, 0], -poses[:, 1], wrap_angle(-poses[:, 2])])
+    return found, np.concatenate([stamps, stamps + 1e-9 * later_ns]), np.concatenate([poses, turned])
+
+
+def _later(tick: Tick, by_ns: int) -> Tick:
+    """The tick at a later time."""
+    own_s = None if tick.log_stamp_s is None else tick.log_stamp_s + 1e-9 * by_ns
+    return dataclasses.replace(tick, stamp_ns=tick.stamp_ns + by_ns, log_stamp_s=own_s)
+
+
+Longer = Callable[[Ticks, np.random.Generator, Array, Array], tuple[Ticks, Array, Array]]
+LONGER: dict[str, Longer] = {damage.__name__: damage for damage in (returned, joined)}
 
 
 def _moving(ticks: Ticks, rng: np.random.Generator, count: int) -> NDArray[np.int64]:
