@@ -133,7 +133,7 @@ class Exploration:
             self.driver.head_for(self._view.point(row - self._view.frame.top, col - self._view.frame.left), pose)
             return
         planner = self._make_view_planner(pose)
-        self.left = unseen_places(planner, planner.candidates())
+        self.left = unseen_places(planner, planner.candidates(self._view.filled))
         if self.left and self._may_wait():
             self._turning = True
             self.driver.wait(pose)
@@ -223,9 +223,14 @@ class Exploration:
         self.outcome = "lost" if self._history.sigma_m > _LOST_M else explored
 
     def _next_target(self, pose: Pose) -> Target | None:
-        """The best view from a cell in reach; None if nothing is left to see from there."""
+        """The best view from a cell in reach; None if nothing is left to see from there.
+
+        The far end of what a laser reaches is seen in single beams. What is beside these is looked at last: most of it
+        is seen on the way to what is nearer.
+        """
         planner = self._make_view_planner(pose)
-        return self._chosen(planner, planner.candidates())
+        found = self._chosen(planner, planner.candidates())
+        return found or self._chosen(planner, planner.candidates(self._view.filled))
 
     def _chosen(self, planner: ViewPlanner, candidates: Candidates) -> Target | None:
         """The explorer's choice among candidates; None if there are none. Raises PartError for one that is none."""
@@ -252,7 +257,8 @@ class Exploration:
         """The view planner for views from the cells that a path leads to."""
         view, task = self._view, self._task
         view.draw_views(self._here(pose))
-        viewpoints = Viewpoints(view.reached, view.obstacles, self._sensor.reach, view.occupied)
+        roomy = view.reached & ~view.tight
+        viewpoints = Viewpoints(view.reached, view.obstacles, self._sensor.reach, view.occupied, roomy)
         return ViewPlanner(
             self._gain, pose, view.reached, viewpoints, view.tile_ways, task.config, task.home, self._known_views
         )

@@ -31,7 +31,7 @@ from sixthsense.slam.mapping.inflation import disc
 
 _UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
 _WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
-_MASKS = "seen", "free", "obstacles", "opaque", "wanted", "blocked", "passable", "_barred", "_driven"
+_MASKS = "seen", "free", "filled", "obstacles", "opaque", "wanted", "blocked", "passable", "tight", "_barred", "_driven"
 _NOWHERE, _NO_CELLS = Box(0, 0, 0, 0), np.zeros((0, 0), dtype=np.bool_)
 
 
@@ -42,6 +42,8 @@ class MapView:
     """crossed by a beam"""
     free: Bools
     """seen, and no obstacle"""
+    filled: Bools
+    """free, or between two beams"""
     obstacles: Bools
     """with closed walls: gaps of two cells, unseen ones up to the robot's width, and what grazing beams have erased"""
     opaque: Bools
@@ -52,6 +54,8 @@ class MapView:
     """where the robot may not drive"""
     passable: Bools
     """seen cells where it may"""
+    tight: Bools
+    """where the drawn cells of obstacles leave the robot no room, whether it may drive there or not"""
     edge: Cells
     """(N, 2) free cells beside unknown ones, row by row"""
     occupied: Bools
@@ -73,6 +77,7 @@ class MapView:
         """the cells of the masks"""
         self.spare_m = config.grid.clearance_m - BUFFER_M if sees_beside(radius_m, config) else 0.0
         """how much of the clearance the robot gives up in narrow places: it goes where the guard lets it pass"""
+        self._radius_m = radius_m
         self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
         """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
         self._area = AreaToSee(region, config)
@@ -152,6 +157,7 @@ class MapView:
         inside = np.zeros_like(barred)
         inside[self._area.limits.within((inner.top, inner.left), barred.shape)] = True
         barred |= ~inside
+        self.tight[part] = self.grid.inflated(inner, -self.spare_m)
         blocked = barred | self._without_room(part, inner)
         self.seen[part], self._barred[part], self.blocked[part] = outer[own], barred, blocked
         self.passable[part] = self.seen[part] & ~blocked
@@ -251,7 +257,8 @@ class MapView:
         covered = self.grid.part("cover", box) > 0
         driven, stopped = self._driven[part], self._stops[part] >= TRIES
         if self._config.safety.guard:
-            return np.asarray((self.grid.inflated(box, -self.spare_m) & ~driven) | (covered & stopped))
+            near = self.grid.near_returns(box, self._radius_m) if self.spare_m > 0.0 else self.tight[part]
+            return np.asarray((near & ~driven) | (covered & stopped))
         touching = self.grid.inflated(box, -self._config.grid.clearance_m)
         return np.asarray(covered & (touching | ~driven))
 
@@ -292,15 +299,16 @@ class MapView:
         opaque = closed = close_unseen_gaps(close_gaps(self.grid.part("obstacles", outer) | wall), seen, self._width)
         for _ in range(self._sight_margin):
             opaque = dilated(opaque)
-        unknown = ~close_unseen_gaps(seen | closed, seen, self._between_beams)
+        known = close_unseen_gaps(seen | closed, seen, self._between_beams)
+        unknown, free = ~known, seen & ~closed
         attempts = _moved(self._attempts, self.frame, outer)
         wanted = self._area.to_see(unknown, outer, attempts)[own]
-        edge = np.argwhere(frontier_cells(seen & ~closed, unknown)[own]) + np.array([rows.start, cols.start])
+        edge = np.argwhere(frontier_cells(free, unknown)[own]) + np.array([rows.start, cols.start])
         differs = (self.wanted[part] != wanted) | (self.obstacles[part] != closed[own])
         tiles = differs.reshape(differs.shape[0] // TILE, TILE, -1, TILE).any(axis=(1, 3))
         self._changed[rows.start // TILE : rows.stop // TILE, cols.start // TILE : cols.stop // TILE] |= tiles
         self.wanted[part], self.obstacles[part], self.opaque[part] = wanted, closed[own], opaque[own]
-        self.free[part] = seen[own] & ~closed[own]
+        self.free[part], self.filled[part] = free[own], (known & ~closed)[own]
         old_rows, old_cols = self.edge.T
         kept = (old_rows < rows.start) | (old_rows >= rows.stop) | (old_cols < cols.start) | (old_cols >= cols.stop)
         cells = np.concatenate([self.edge[kept], edge])

@@ -16,6 +16,7 @@ from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.core.source import Command
+from sixthsense.navigation.centring import centred
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.shortcut import path_is_free
 
@@ -220,6 +221,14 @@ class PathDriver:
         self._map = map_
         self.space = map_.free_space(0.0, np.array([pose.position, self.goal]), None)
         """where the robot may drive, without a margin"""
+        self._centre(pose)
+
+    def _centre(self, pose: Pose) -> None:
+        """Lead the path ahead through the middle of gaps, as far as they are known now."""
+        if self.following:
+            path = centred(self._map.grid, self.space, self.drive.following.remaining(pose))
+            if path is not None:
+                self.drive = self.drive._replace(following=Following.along(path))
 
     def head_for(self, goal: Array, pose: Pose) -> None:
         """Plan a path to another goal (2,) and follow it."""
@@ -234,6 +243,7 @@ class PathDriver:
             self.guard_stopped(pose)
         else:
             self.drive = self.drive._replace(is_following=True, following=Following.along(path), is_turning=False)
+            self._centre(pose)
 
     def path_is_free(self, pose: Pose) -> bool:
         """Whether there is a path and the rest of it is free."""

@@ -12,6 +12,8 @@ TURN_RATE = 0.3
 """rad/s, of a robot that looks for its place"""
 _PATIENCE_NS = 3_000_000_000
 """time that a stopped robot waits for what moves, before it seeks another way"""
+_NOISE_NS = 500_000_000
+"""time that it waits for another scan to let it pass: in a narrow gap the noise of single returns stops it"""
 
 
 class Pilot:
@@ -47,7 +49,8 @@ class Pilot:
         if self._stopped_ns is None:
             self._stopped_ns = stamp_ns
         # Who walks by is gone in a moment; then the robot goes around.
-        if not self.guard.waits_for_moving or stamp_ns - self._stopped_ns >= _PATIENCE_NS:
+        patience_ns = _PATIENCE_NS if self.guard.waits_for_moving else _NOISE_NS
+        if stamp_ns - self._stopped_ns >= patience_ns:
             self.navigator.guard_stopped(pose)
         return command
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters
 from sixthsense.navigation.gridsearch import costs_from
@@ -40,8 +42,8 @@ class UnseenPlace:
     from where it could drive if it might touch obstacle cells; unreachable: visible from where it would fit but cannot
     get to"""
     gap_m: float | None = None
-    """how wide the narrowest gap on the widest way there is, as it is drawn, cells thick; None where it can be reached,
-    or where none was seen"""
+    """how wide the narrowest gap on the widest way there is, metres; None where it can be reached, or where none was
+    seen"""
 
 
 def as_reason(text: str) -> Reason:
@@ -108,12 +110,31 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
 def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:
     """How wide the narrowest gap is on the widest way from the cells in reach to another one, m; None without a way."""
     view = planner.view
-    away = ndimage.distance_transform_edt(~view.obstacles) * view.free  # cells, to the nearest obstacle's centre
-    for half in np.unique(away[(away > 0.0) & (away <= away[cell])])[::-1]:
+    points = view.grid.obstacle_points(view.frame)
+    if len(points) == 0:
+        return None
+    obstacles = cKDTree(points)
+    rows, cols = np.nonzero(view.free)
+    centres = np.stack([(view.frame.left + cols + 0.5), (view.frame.top + rows + 0.5)], axis=1) * view.cell_m
+    away = np.zeros(view.shape)
+    away[rows, cols] = obstacles.query(centres)[0]
+
+    def is_way(half: float) -> bool:
         parts, _ = ndimage.label(away >= half, np.ones((3, 3)))
-        if (parts[planner.reachable & (parts > 0)] == parts[cell]).any():
-            return float(2.0 * half - 1.0) * view.cell_m
-    return None
+        return bool((parts[planner.reachable & (parts > 0)] == parts[cell]).any())
+
+    halves = np.unique(away[(away > 0.0) & (away <= away[cell])])[::-1]
+    k = bisect.bisect_left(halves, True, key=is_way)
+    if k == len(halves):
+        return None
+    # The narrowest place is a cell; the gap is between the nearest obstacles on its two sides.
+    middle = centres[np.argmin(np.abs(away[rows, cols] - halves[k]))]
+    near = points - middle
+    first = near[np.argmin((near**2).sum(axis=1))]
+    beyond = near[near @ first < 0.0]
+    if len(beyond) == 0:
+        return None
+    return float(np.linalg.norm(first - beyond[np.argmin((beyond**2).sum(axis=1))]))
 
 
 def _viewpoints(planner: ViewPlanner) -> dict[Reason, Bools]:

@@ -83,12 +83,22 @@ class ViewPlanner:
         """The map."""
         return self.gain.view
 
-    def candidates(self) -> Candidates:
-        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
+    def candidates(self, connected: Bools | None = None) -> Candidates:
+        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise.
+
+        A place counts that is `connected` (H, W), by edges of cells, to the robot's or large; the free cells connect.
+        """
         view = self.view
         wanted = view.wanted
         edge = view.edge[are_beside(wanted, view.edge)]
-        edge = edge[in_large_regions(view.free, edge, self.glimpsed_cells(), view.cell(self.pose.position))]
+        edge = edge[
+            in_large_regions(
+                view.free if connected is None else connected,
+                edge,
+                self.glimpsed_cells(),
+                view.cell(self.pose.position),
+            )
+        ]
         spare = IGNORED_AREA_FRACTION * np.count_nonzero(view.seen)
         ignored = smallest_regions(wanted, edge, spare)
         self.known.forget(view.ignore(ignored), view.first)

@@ -21,12 +21,21 @@ Cell = tuple[int, int]
 class Viewpoints:
     """Searches among the allowed cells of one map for the nearest that has a cell in view."""
 
-    def __init__(self, allowed: Bools, obstacles: Bools, reach: float, tiles: Bools | None = None) -> None:
+    def __init__(
+        self,
+        allowed: Bools,
+        obstacles: Bools,
+        reach: float,
+        tiles: Bools | None = None,
+        preferred: Bools | None = None,
+    ) -> None:
         """`allowed` and `obstacles` are (H, W) and must not change afterwards; `reach` of a view is in cells.
 
-        `tiles` are those that `mark_tiles` marks, where they are known.
+        `tiles` are those that `mark_tiles` marks, where they are known. Other cells than the `preferred` ones are found
+        where none of these has a view.
         """
         self._allowed, self._obstacles, self._reach = allowed, obstacles, reach
+        self._preferred = preferred
         if tiles is None:
             tiles = np.zeros((-(-allowed.shape[0] // TILE), -(-allowed.shape[1] // TILE)), dtype=np.bool_)
             mark_tiles(tiles, allowed, obstacles, np.ones_like(tiles))
@@ -34,7 +43,11 @@ class Viewpoints:
 
     def nearest(self, cell: Cell) -> Cell | None:
         """The nearest allowed cell from which no obstacle hides a cell, both row and col; None if there is none."""
-        index = _nearest(self._tiles, self._allowed, self._obstacles, *cell, self._reach)
+        index = -1
+        if self._preferred is not None:
+            index = _nearest(self._tiles, self._preferred, self._obstacles, *cell, self._reach)
+        if index < 0:
+            index = _nearest(self._tiles, self._allowed, self._obstacles, *cell, self._reach)
         return divmod(int(index), self._obstacles.shape[1]) if index >= 0 else None
 
 

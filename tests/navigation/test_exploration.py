@@ -101,10 +101,10 @@ def test_places_behind_a_door_that_is_narrower_than_the_robot_are_left_and_named
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_door_that_only_the_clearance_closes_is_passed(seed: int, tmp_path: Path) -> None:
-    """The door is wider than the robot by two cells, the guard's buffers and the noise of its edges."""
+    """The drawn cells of the door leave no room for the robot's inflation."""
     made = explored(tmp_path, two_rooms(0.54), seed=seed)
     assert made.outcome == "explored"
-    assert np.array(made.trace.truths)[:, 0].max() > 3.95
+    assert np.array(made.trace.truths)[:, 0].max() > 3.85  # its disc is in the door, at 4
     assert made.metrics["coverage"] >= 0.995
     assert made.metrics["collisions"] == 0 and made.metrics["home_error_m"] <= 0.2
 
@@ -129,7 +129,7 @@ def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tm
     assert made.outcome == "explored in part"
     left = made.trace.left[0]
     assert left.reason == "unreachable" and left.x > 4.0
-    assert left.gap_m is None or 0.15 <= left.gap_m <= 0.35  # two cells of the jambs may be drawn in it
+    assert left.gap_m is not None and 0.25 <= left.gap_m <= 0.37  # the mean of a jamb's last cell is short of its end
 
 
 def test_a_scene_that_is_not_closed_is_explored_within_the_region_and_its_margin(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.spatial import cKDTree
 from test_gridsearch import plain_costs
 
 from sixthsense.config import preset
@@ -83,9 +84,11 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     hits, passes, seen = (grid.part(name, frame) for name in ("hits", "passes", "seen"))
     solid = close_gaps(grid.part("obstacles", frame) | ((hits >= 3) & (passes <= 15 * hits)))
     obstacles = close_unseen_gaps(solid, seen, 8)
-    unseen, unknown = ~(seen | obstacles), ~close_unseen_gaps(seen | obstacles, seen, 3)  # 3 cells between two beams
+    known = close_unseen_gaps(seen | obstacles, seen, 3)  # 3 cells between two beams
+    unseen, unknown = ~(seen | obstacles), ~known
     assert np.array_equal(view.obstacles, obstacles) and np.array_equal(view.seen, seen)
     assert np.array_equal(view.opaque, ndimage.binary_dilation(obstacles, np.ones((5, 5), dtype=np.bool_)))
+    assert np.array_equal(view.free, seen & ~obstacles) and np.array_equal(view.filled, known & ~obstacles)
     assert np.array_equal(view.edge, np.argwhere(frontier_cells(seen & ~obstacles, unknown)))
     y, x = (rows_cols + np.array(view.first)[:, None, None] + 0.5) * view.cell_m
     x0, y0, x1, y1 = REGION
@@ -96,8 +99,9 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     bounds = inside[0], inside[-1] + 1, across[0], across[-1] + 1
     assert np.array_equal(view.wanted, spread(unknown & in_region, unknown, 10, bounds))
     outside = (x < x0 - 0.3) | (x > x1 + 0.3) | (y < y0 - 0.3) | (y > y1 + 0.3)
-    touched = grid.inflated(frame, BUFFER_M - CONFIG.grid.clearance_m)
-    assert np.array_equal(view.blocked, touched | far_from(seen, 4) | outside)
+    near, _ = cKDTree(grid.obstacle_points(frame)).query(np.stack([x, y], axis=-1))
+    assert np.array_equal(view.blocked, (near <= RADIUS_M) | far_from(seen, 4) | outside)
+    assert np.array_equal(view.tight, grid.inflated(frame, BUFFER_M - CONFIG.grid.clearance_m))
     assert np.array_equal(view.passable, seen & ~view.blocked)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
+from sixthsense.core.geometry import Array
 from sixthsense.slam.mapping.changes import SHIFT
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.tiles import ROW, Index, Places, slot
@@ -16,6 +17,11 @@ from sixthsense.slam.mapping.tiles import ROW, Index, Places, slot
 Ints = NDArray[np.int32]
 SCANS_PER_STAMP = 126
 """scans that a stamp of one byte tells apart"""
+Offsets = NDArray[np.int16]
+MOST_RETURNS = 100
+"""returns whose mean is kept of a cell; with more of them older ones count less"""
+OFFSET = 1 << 15
+"""an offset within a cell is kept in steps of a cell divided by this"""
 
 
 class Cells(NamedTuple):
@@ -33,6 +39,12 @@ class Cells(NamedTuple):
     """whether a beam has ever crossed the cell or ended in it"""
     obstacles: Bools
     """whether the evidence says occupied"""
+    returns: NDArray[np.uint8]
+    """returns in the cell, up to `MOST_RETURNS`"""
+    down: Offsets
+    """rows from the cell's centre to the mean of these returns, times `OFFSET`; without any to a fitted wall"""
+    across: Offsets
+    """the same of columns"""
 
     @classmethod
     def empty(cls, count: int, max_hits: int, most_cover: int) -> Cells:
@@ -40,7 +52,9 @@ class Cells(NamedTuple):
         types = np.min_scalar_type(max_hits), np.int32, np.result_type(np.int16, np.min_scalar_type(-most_cover))
         hits, passes, cover = (np.zeros(count, dtype=kind) for kind in types)
         seen, obstacles = (np.zeros(count, dtype=np.bool_) for _ in range(2))
-        return cls(hits, passes, cover, np.zeros(count, dtype=np.uint8), seen, obstacles)
+        down, across = (np.zeros(count, dtype=np.int16) for _ in range(2))
+        stamp, returns = (np.zeros(count, dtype=np.uint8) for _ in range(2))
+        return cls(hits, passes, cover, stamp, seen, obstacles, returns, down, across)
 
     def extend(self, count: int) -> None:
         """Make room for more cells behind these, in place: a copy would double the memory of a large map."""
@@ -76,6 +90,10 @@ class ScanCells(NamedTuple):
     """(N,) whether the beam ends at a return"""
     walls: NDArray[np.int64]
     """(2 W, 2) both ends of each fitted wall"""
+    end_points: Array
+    """(N, 2) where each beam ends, row and col from the centre of the cell (0, 0), in cells"""
+    wall_points: Array
+    """(2 W, 2) both ends of each fitted wall in the same way"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -141,6 +159,28 @@ def _hit(cells: Cells, index: Index, place: int, mark: int, stencil: Places, rul
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _add_return(cells: Cells, cell: int, down: float, across: float) -> None:
+    """Count a return in a cell, at an offset from its centre."""
+    count = min(cells.returns[cell] + 1, MOST_RETURNS)
+    cells.returns[cell] = count
+    cells.down[cell] += np.int16(round((OFFSET * down - cells.down[cell]) / count))
+    cells.across[cell] += np.int16(round((OFFSET * across - cells.across[cell]) / count))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _nearest_on_wall(wall: Array, row: int, col: int) -> tuple[float, float]:
+    """The offset from a cell's centre to the nearest point of a wall (2, 2) that is within the cell."""
+    down, across = wall[1, 0] - wall[0, 0], wall[1, 1] - wall[0, 1]
+    length_sq = down * down + across * across
+    share = 0.0
+    if length_sq > 0.0:
+        share = ((row - wall[0, 0]) * down + (col - wall[0, 1]) * across) / length_sq
+        share = min(max(share, 0.0), 1.0)
+    to_row, to_col = wall[0, 0] + share * down - row, wall[0, 1] + share * across - col
+    return min(max(to_row, -0.5), 0.5), min(max(to_col, -0.5), 0.5)
+
+
+@numba.njit(cache=True, error_model="numpy")
 def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil: Places, rules: EvidenceRules) -> None:
     """Count one scan in the tiles of `index`; `stencil` (K,) are offsets of places.
 
@@ -153,9 +193,15 @@ def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil
         cells.seen[slot(index, place)] = True
         if returned[i]:
             _hit(cells, index, place, hit, stencil, rules)
+            down, across = scan.end_points[i, 0] - ends[i, 0], scan.end_points[i, 1] - ends[i, 1]
+            _add_return(cells, slot(index, place), down, across)
     for j in range(0, len(walls), 2):
         for place in line_places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
             _hit(cells, index, place, hit, stencil, rules)
+            cell = slot(index, place)
+            if cells.returns[cell] == 0:
+                down, across = _nearest_on_wall(scan.wall_points[j : j + 2], place >> 32, place & 0xFFFFFFFF)
+                cells.down[cell], cells.across[cell] = round(OFFSET * down), round(OFFSET * across)
     for i in range(len(ends)):
         line = line_places(laser[0], laser[1], ends[i, 0], ends[i, 1])
         for place in line[: len(line) - 1] if returned[i] else line:

@@ -18,6 +18,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import MAX_CELLS, TILE, Box, Changes, Revision, box_of, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import (
+    OFFSET,
     SCANS_PER_STAMP,
     Cells,
     EvidenceRules,
@@ -27,11 +28,14 @@ from sixthsense.slam.mapping.evidence import (
     touched_squares,
 )
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
-from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, marked, stamped
+from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, mark_near, marked, stamped
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, Places, Tiles
 
 __all__ = ["FreeSpace", "Grid"]
+
+
+CellField = Literal["hits", "passes", "cover", "seen", "obstacles", "down", "across"]
 
 
 class Masks(NamedTuple):
@@ -139,7 +143,9 @@ class Grid:
         before = self._box
         self._grow(cells)
         local = cells.astype(np.int64) - self._tiles.first
-        touched = ScanCells(local[0], local[1 : 1 + len(ends)], returned, local[1 + len(ends) :])
+        exact = points[1:, ::-1] / self._config.cell_m - self._tiles.first - 0.5
+        walls_at, ends_at = local[1 + len(ends) :], local[1 : 1 + len(ends)]
+        touched = ScanCells(local[0], ends_at, returned, walls_at, exact[: len(ends)], exact[len(ends) :])
         low, high = local.min(axis=0), local.max(axis=0)
         (top, left), (bottom, right) = (low - self._reach) // TILE, (high + self._reach) // TILE + 1
         squares = np.zeros((bottom - top, right - left), dtype=np.bool_)
@@ -255,7 +261,27 @@ class Grid:
             solid |= marked(around, self._bodies)
         return np.asarray(stamped(solid, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
 
-    def part(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"], box: Box) -> NDArray[Any]:
+    def obstacle_points(self, box: Box) -> Array:
+        """(N, 2) where the obstacles in a box are, world frame, metres: the mean of each cell's returns."""
+        rows, cols = np.nonzero(self.part("obstacles", box))
+        down, across = (self.part(name, box)[rows, cols] / OFFSET for name in ("down", "across"))
+        points = np.stack([box.left + cols + 0.5 + across, box.top + rows + 0.5 + down], axis=1)
+        return np.asarray(points * self._config.cell_m)
+
+    def near_returns(self, box: Box, radius_m: float) -> Bools:
+        """(H, W) the cells of a box whose centres are nearer than a radius to where an obstacle is, or to a body."""
+        reach = math.ceil(radius_m / self._config.cell_m) + 1
+        around = box.grown(reach)
+        points = self.obstacle_points(around) / self._config.cell_m - (around.left, around.top)
+        near = np.zeros((around.bottom - around.top, around.right - around.left), dtype=np.bool_)
+        mark_near(near, points[:, ::-1] - 0.5, radius_m / self._config.cell_m)
+        inner = near[reach:-reach, reach:-reach]
+        if len(self._bodies):
+            stencil = disc(radius_m / self._config.cell_m)
+            inner = inner | stamped(marked(around, self._bodies), stencil)[reach:-reach, reach:-reach]
+        return np.asarray(inner)
+
+    def part(self, name: CellField, box: Box) -> NDArray[Any]:
         """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""
         return self._tiles.part(getattr(self._cells, name), box)
 
@@ -266,6 +292,11 @@ class Grid:
         box = box_of(cells)
         known = self.part("seen", box) | self.part("obstacles", box)
         return np.asarray(~known[cells[:, 0] - box.top, cells[:, 1] - box.left])
+
+    @property
+    def inflation_m(self) -> float:
+        """From the centre of a free cell to the square of an obstacle cell, at least."""
+        return self._inflation * self._config.cell_m
 
     @property
     def hits(self) -> Ints:

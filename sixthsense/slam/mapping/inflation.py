@@ -65,6 +65,18 @@ def stamped(obstacles: Bools, stencil: NDArray[np.int64]) -> Bools:
     return blocked[rim : rim + obstacles.shape[0], rim : rim + obstacles.shape[1]].copy()
 
 
+@numba.njit(cache=True, error_model="numpy")
+def mark_near(near: Bools, points: Array, radius: float) -> None:
+    """Mark the cells whose centres are nearer than a radius to a point (N, 2), row and col from that of (0, 0)."""
+    height, width = near.shape
+    for k in range(len(points)):
+        row, col = points[k, 0], points[k, 1]
+        for r in range(max(math.ceil(row - radius), 0), min(math.floor(row + radius) + 1, height)):
+            half = math.sqrt(max(radius * radius - (r - row) ** 2, 0.0))
+            for c in range(max(math.ceil(col - half), 0), min(math.floor(col + half) + 1, width)):
+                near[r, c] = True
+
+
 def too_near(obstacles: Bools, radius: float) -> Bools:
     """(H, W) the cells whose centre is nearer to an obstacle cell's centre than a radius, in cells."""
     reach = math.floor(radius) + 1

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.slam.mapping.changes import SHIFT, TILE, Box, box_of
-from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints
+from sixthsense.slam.mapping.evidence import MOST_RETURNS, Cells, EvidenceRules, Ints, Offsets
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.tiles import ROW, Index, Places, Tiles, slot
 
@@ -29,16 +29,24 @@ class Submap(NamedTuple):
     """(N,) likewise"""
     box: Box
     """that holds the cells"""
+    places: Offsets
+    """(N, 3) the returns, and the offset of their mean from the cell's centre, as of `Cells`"""
 
     @classmethod
-    def of(cls, cells: NDArray[np.int64], hits: Ints, passes: Ints, seen: Bools) -> Submap:
-        """The submap of (N,) cells, none of them twice."""
-        return cls(cells, hits, passes, seen, box_of(cells) if len(cells) else Box(0, 0, 0, 0))
+    def of(
+        cls, cells: NDArray[np.int64], hits: Ints, passes: Ints, seen: Bools, places: Offsets | None = None
+    ) -> Submap:
+        """The submap of (N,) cells, none of them twice; its obstacles are at their cells' centres unless it is said."""
+        if places is None:
+            places = np.zeros((len(cells), 3), dtype=np.int16)
+        return cls(cells, hits, passes, seen, box_of(cells) if len(cells) else Box(0, 0, 0, 0), places)
 
     def within(self, squares: Bools, tiles: Tiles) -> Submap:
         """The part of it in squares (R, C) of the tiles' index."""
         kept = _in_squares(self.cells, tiles.first, squares)
-        return Submap(self.cells[kept], self.hits[kept], self.passes[kept], self.seen[kept], self.box)
+        return Submap(
+            self.cells[kept], self.hits[kept], self.passes[kept], self.seen[kept], self.box, self.places[kept]
+        )
 
 
 def submap_of(cells: Cells, tiles: Tiles) -> Submap:
@@ -49,7 +57,8 @@ def submap_of(cells: Cells, tiles: Tiles) -> Submap:
     order = np.lexsort((places[:, 1], places[:, 0]))
     touched = touched[order]
     hits = cells.hits[touched].astype(np.int32)
-    return Submap.of(places[order], hits, cells.passes[touched], cells.seen[touched])
+    returns = np.stack([cells.returns[touched], cells.down[touched], cells.across[touched]], axis=1).astype(np.int16)
+    return Submap.of(places[order], hits, cells.passes[touched], cells.seen[touched], returns)
 
 
 def weakened(submap: Submap, rules: EvidenceRules) -> Submap:
@@ -63,7 +72,7 @@ def weakened(submap: Submap, rules: EvidenceRules) -> Submap:
     shrunk = (submap.passes * (hits / np.maximum(submap.hits, 1))).astype(np.int32)
     passes = np.where(is_free, np.minimum(submap.passes, most + 1), np.minimum(shrunk, most))
     seen = np.zeros_like(submap.seen)
-    return Submap(submap.cells, hits.astype(np.int32), passes.astype(np.int32), seen, submap.box)
+    return submap._replace(hits=hits.astype(np.int32), passes=passes.astype(np.int32), seen=seen)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -96,6 +105,12 @@ def add_submap(cells: Cells, index: Index, places: Places, submap: Submap, rules
         cells.hits[cell], cells.passes[cell] = hits, passes
         if submap.seen[i]:
             cells.seen[cell] = True
+        if submap.hits[i] > 0:
+            returns, before = submap.places[i, 0], cells.returns[cell]
+            share = 1.0 if before == 0 else returns / (returns + before)
+            cells.returns[cell] = min(returns + before, MOST_RETURNS)
+            cells.down[cell] += round(share * (submap.places[i, 1] - cells.down[cell]))
+            cells.across[cell] += round(share * (submap.places[i, 2] - cells.across[cell]))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -126,6 +141,7 @@ def erase(cells: Cells, index: Index, squares: NDArray[np.int64], stencil: Place
                     cells.cover[slot(index, place + offset)] -= 1
             cells.hits[cell], cells.passes[cell], cells.stamp[cell] = 0, 0, 0
             cells.seen[cell], cells.obstacles[cell] = False, False
+            cells.returns[cell], cells.down[cell], cells.across[cell] = 0, 0, 0
 
 
 @numba.njit(cache=True, error_model="numpy")
