@@ -119,4 +119,4 @@ def test_what_only_a_robot_without_clearance_would_see_is_looked_at_past_the_edg
 def test_a_room_that_was_glimpsed_through_a_gap_too_narrow_for_the_robot_is_unreachable() -> None:
     left = left_by(planner(5, room_behind(), tries=2))
     assert {place.reason for place in left} == {"unreachable"}
-    assert all(place.gap_m == pytest.approx(6 * CELL_M) for place in left)  # between the centres of cells
+    assert all(place.gap_m == pytest.approx(6 * CELL_M, abs=0.02) for place in left)  # between the centres of cells
