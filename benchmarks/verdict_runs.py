@@ -55,6 +55,8 @@ FILES = {
 }
 _MOST_PIECES = {"intel": 2, "fr079": 1, "aces": 2, "clinic": 1}
 """pieces of a log that all of `WRONG` is done to; one has the other damages"""
+_OF_EVEN_BEAMS = ("blanks", "people", "rough")
+"""damages of logs whose scans have the same beams"""
 _OF_WORLDS = ("clean", "people", "rough", *WRONG)
 _WORLD_S, _WORLD_SPEED = 120.0, 0.5
 
@@ -72,6 +74,8 @@ def jobs(half: str) -> Iterator[tuple[str, str, str]]:
     """Source, front end and damage of each run of a half."""
     for damage in ("clean", *WRONG, *(name for name in DAMAGES if name != "clean")):
         for log, pieces in PIECES[half].items():
+            if log == "clinic" and damage in _OF_EVEN_BEAMS:
+                continue
             for k in range(_MOST_PIECES[log] if damage in WRONG else len(pieces) if damage == "clean" else 1):
                 yield f"{log}-{k}", "scan-matching", damage
         if damage in _OF_WORLDS:

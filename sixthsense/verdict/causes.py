@@ -41,7 +41,7 @@ def _mirrored(evidence: Evidence) -> Iterator[Cause]:
     seen, turns = evidence.mirror, evidence.turns
     if seen is not None and seen.sigmas > MIRROR_SIGMAS:
         first, last = seen.first, seen.last
-    elif turns is not None and turns.slope + _SIGMAS * turns.sigma < 0.0:
+    elif turns is not None and turns.slope + MIRROR_SIGMAS * turns.sigma < 0.0:
         first, last = 0, len(evidence.stamps_s) - 1
     else:
         return

@@ -152,7 +152,7 @@ def turns(found: Disagreement) -> Turns | None:
     known = np.isfinite(found.off).all(axis=1)
     w, t = found.wheels[known, 2], found.path[known, 2]
     power = float(w @ w)
-    if len(w) < _FEWEST or power < 1.0:
+    if len(w) < _FEWEST or power < _TURN_RAD**2 * _FEWEST:
         return None
     slope = float(w @ t) / power
     off = t - slope * w

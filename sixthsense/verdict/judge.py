@@ -9,29 +9,29 @@ import numpy as np
 from sixthsense.verdict.causes import causes_of
 from sixthsense.verdict.evidence import Evidence, evidence_of, share
 from sixthsense.verdict.probability import (
-    KEYFRAME_FEATURES,
-    MAP_FEATURES,
+    FEATURES,
     keyframe_features,
     logistic,
     map_features,
+    noisy_or,
     weights,
 )
 from sixthsense.verdict.verdict import Level, Verdict
 from sixthsense.verdict.views import FEWEST, THROUGH, TWICE
 from sixthsense.verdict.witnesses import Witnesses
 
-BROKEN_FROM = 0.9
-"""A map is broken if it is at least nine times as likely wrong as right."""
+DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
+"""A map is doubtful if it is more likely wrong than right, and broken if it is at least nine times as likely."""
 
 
 def judge(found: Witnesses) -> Verdict:
     """Whether the map of a run is right, by what the run has left behind."""
     evidence, model = evidence_of(found), weights()
     features = keyframe_features(evidence)
-    keyframes = logistic(model["keyframes"], KEYFRAME_FEATURES, features)
-    probability = float(logistic(model["map"], MAP_FEATURES, map_features(evidence, features)[None])[0])
+    keyframes = logistic(model["keyframes"], FEATURES, features)
+    probability = float(noisy_or(model["map"], FEATURES, map_features(evidence, features)[None])[0])
     level: Level = "good"
-    if probability >= model["doubtful_from"]:
+    if probability >= DOUBTFUL_FROM:
         level = "broken" if probability >= BROKEN_FROM else "doubtful"
     causes = () if level == "good" or not len(keyframes) else causes_of(evidence, found)
     return Verdict(level, probability, keyframes, causes, dict(_numbers(evidence)))

@@ -11,6 +11,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.verdict.disagreement import disagreement, lag, mount, turns
 from sixthsense.verdict.evidence import over_window, share, sum_over_window
+from sixthsense.verdict.judge import judge
 from sixthsense.verdict.views import (
     ALL,
     SURFACE,
@@ -23,6 +24,7 @@ from sixthsense.verdict.views import (
     travelled,
     views_of,
 )
+from sixthsense.verdict.witnesses import Witnesses
 
 MOUNT = Pose(0.13, -0.07, 0.3)
 RNG = np.random.default_rng(5)
@@ -146,3 +148,16 @@ def test_a_scan_seen_in_a_mirror_is_itself_when_it_is_seen_in_one_again():
     returned = np.isfinite(scan.ranges)
     assert (laser @ seen[::-1][returned]) == pytest.approx((laser @ points[returned]) * (1.0, -1.0), abs=2e-5)
     assert np.array_equal(once.mirrored().ranges, scan.ranges)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+@pytest.mark.parametrize("has_wheels", [True, False])
+def test_a_run_of_a_few_keyframes_is_judged(count, has_wheels):
+    """As is one that has just begun, or has no scans."""
+    own = ticks()[: 9 * count : 9]
+    poses = np.array([tick.odometry.array() for tick in own]).reshape(-1, 3)
+    stamps = np.array([tick.stamp_ns for tick in own], dtype=np.int64)
+    wheels, measured = poses if has_wheels else None, np.ones(count, dtype=np.bool_)
+    for scans in (tuple(tick.scan for tick in own), ()):
+        verdict = judge(Witnesses(stamps, poses, wheels, np.arange(count), poses, measured, scans))
+        assert verdict.level == "good" and len(verdict.keyframes) == count
