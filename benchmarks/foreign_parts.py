@@ -32,7 +32,7 @@ TOURS, TOUR_S = ("apartment", "office"), 120.0
 LOGS = ("fr079", "intel")
 _LAYERS = 5
 """in which a scan is stood up: a plane in three dimensions for each wall"""
-_FLOOR = 1e-13 * np.eye(3)
+_FLOOR = 1e-11 * np.eye(3)
 """added to covariances of motions, which may be zero; m^2 and rad^2"""
 _ITERATIONS, _SMALL = 5, 1e-8
 
@@ -111,6 +111,8 @@ class LeastSquares:
         self._start, self._prior = start.array(), np.linalg.inv(np.asarray(start_cov) + _FLOOR)
         self._poses, self._motions = start.array()[None], list[Odometry]()
         self._since = STANDSTILL
+        self._updated_at: list[int] = []
+        """rows of the poses"""
         self._means, self._walls = np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
         self._rows: dict[LandmarkId, int] = {}
         """of each known landmark"""
@@ -125,14 +127,19 @@ class LeastSquares:
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Add a pose with its observations, and solve."""
         pose = self._now()
-        self._motions.append(self._since)
-        self._poses, self._since = np.vstack([self._poses, pose.array()]), STANDSTILL
+        if self._since.cov.any() or self._since.motion != Pose():  # else it is the same pose as before
+            self._motions.append(self._since)
+            self._poses, self._since = np.vstack([self._poses, pose.array()]), STANDSTILL
+            self._seen.append(([], []))
+        self._updated_at.append(len(self._poses) - 1)
         for i, observation in observations.items():
             if i not in self._rows:
                 self._rows[i] = len(self._means)
                 self._means = np.vstack([self._means, initialize_landmark(pose, observation)[0]])
                 self._walls = np.append(self._walls, observation.is_wall)
-        self._seen.append(([self._rows[i] for i in observations], list(observations.values())))
+        rows, seen = self._seen[-1]
+        rows += [self._rows[i] for i in observations]
+        seen += observations.values()
         self._solve()
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
@@ -152,7 +159,7 @@ class LeastSquares:
 
     def trajectory(self) -> Array:
         """(K, 3) of all updates."""
-        return self._poses[1:].copy()
+        return self._poses[self._updated_at]
 
     def _now(self) -> Pose:
         return Pose.from_array(self._poses[-1]) @ self._since.motion

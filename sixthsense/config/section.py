@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import copy
 import dataclasses
+import functools
 import inspect
 import itertools
 import math
@@ -246,6 +247,7 @@ def as_table(section: Section) -> dict[str, Any]:
     return table
 
 
+@functools.cache  # reading the source takes some milliseconds, and the help asks for each field
 def field_texts(cls: type) -> dict[str, str]:
     """The docstring under each field of a dataclass, by the field's name; those of its base classes included."""
     found: dict[str, str] = {}

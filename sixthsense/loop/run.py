@@ -48,12 +48,13 @@ def drive(
     pilot: Pilot,
     watchers: Sequence[Watcher],
     clock: Stopwatch,
+    own_parts: OwnParts | None = None,
 ) -> str:
     """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome.
 
     Raises PartError that names a part which is not shipped, if it fails.
     """
-    command, own_parts = Command(), OwnParts(slam.config, slam.estimator)
+    command, own_parts = Command(), own_parts or OwnParts(slam.config, slam.estimator)
     while (tick := sensed(source, command, clock)) is not None:
         with own_parts.at(tick):
             step = slam.take(tick)
@@ -263,9 +264,11 @@ def recorded_drive(
             if config.max_time is not None:
                 watchers.append(Deadline(config.max_time, pilot.navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
-            outcome = drive(source, slam, pilot, watchers, clock)
+            own_parts = OwnParts(config, slam.estimator)
+            outcome = drive(source, slam, pilot, watchers, clock, own_parts)
             # A robot that sends nothing brings no tick after which a watcher could end the run.
-            recorder.finish("interrupted" if outcome == "log ended" and interrupted() else outcome)
+            with own_parts:
+                recorder.finish("interrupted" if outcome == "log ended" and interrupted() else outcome)
     return trace
 
 

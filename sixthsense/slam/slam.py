@@ -27,7 +27,16 @@ from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, FrontEndSetup, Keyframe, LoopClosureCounts, untimed
+from sixthsense.slam.front_end import (
+    CheckedFrontEnd,
+    Clock,
+    Evidence,
+    FrontEnd,
+    FrontEndSetup,
+    Keyframe,
+    LoopClosureCounts,
+    untimed,
+)
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
@@ -87,7 +96,9 @@ class Slam:
             begin_with(prior_map, config, self.estimator, self._start, cov)
             self._mapper.start_from(prior_map.evidence)
         setup = FrontEndSetup(config, self.estimator, self._start, self.associator, self._motion, clock)
-        self._front_end: FrontEnd = part_of(config, FRONT_ENDS).make(setup)
+        part = part_of(config, FRONT_ENDS)
+        front_end: FrontEnd = part.make(setup)
+        self._front_end = front_end if part.is_shipped else CheckedFrontEnd(front_end, part.name)
         self._last: Tick | None = None
         self._T_world_odom = self._start
         self._estimate = self._reported(self.estimator.estimate())

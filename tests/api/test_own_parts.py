@@ -113,7 +113,8 @@ BREACHES = {
                   "        worse = tuple(replace(o, cov=-o.cov) for o in found.observations)\n"
                   "        return replace(found, observations=worse)\n",
                   {"task": "tour"}, "extract: observation 0: found cov .* with an eigenvalue of -"),
-    "front_end": ("class Bad:\n    def __init__(self, setup): self.pose = setup.start\n"
+    "front_end": ("from sixthsense.core.motion import STANDSTILL\n\n\nclass Bad:\n"
+                  "    def __init__(self, setup): self.pose, self.since = setup.start, STANDSTILL\n"
                   "    def take(self, evidence): return evidence.scan.ranges[3]\n",
                   {"task": "tour"}, "take: found a float32, allowed: a Keyframe, or None"),
 }  # fmt: skip
@@ -188,3 +189,18 @@ def test_the_parts_that_can_be_replaced_are_listed(capsys):
     assert cli.main(["parts"]) == cli.DONE
     said = capsys.readouterr().out
     assert "--estimator (contract: sixthsense.slam.estimators.base:Estimator" in said and "isam2" in said
+
+
+def test_a_package_that_is_installed_gives_its_parts_short_names(lab, capsys):
+    info = lab / "lab_parts-0.1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-parts\nVersion: 0.1\n")
+    points = "[sixthsense.estimators]\nforgets = fading:Fading\n[sixthsense.explorers]\nnear = nearest:Nearest\n"
+    (info / "entry_points.txt").write_text(points)
+    assert cli.main(["parts"]) == cli.DONE
+    said = capsys.readouterr().out
+    assert re.search(r"forgets +fading:Fading, installed", said) and re.search(r"near +nearest:Nearest, ins", said)
+    run = ss.run("rectangle", estimator="forgets", task="tour", max_time=1.0, progress=False)
+    assert type(run.trace.config.estimator) is str and run.trace.config.estimator == "forgets"
+    with pytest.raises(ss.InputError, match=r"^explorer: found 'forgets', allowed: frontier, random, MODULE:NAME"):
+        ss.preset(explorer="forgets")

@@ -1,7 +1,7 @@
 """The checkers of the seams, but that of estimators: parts that break their contract in one way alone are found."""
 
 import dataclasses
-import math
+import importlib
 
 import numpy as np
 import pytest
@@ -168,19 +168,34 @@ def test_a_part_that_breaks_a_law_is_found_by_it_with_numbers(laws, part, broken
     assert verdicts[broken].startswith(("found", "nothing")) and not verdicts.kept
 
 
-def test_a_failure_of_a_law_has_what_was_found_and_what_is_allowed():
-    laws = testing.laws.Laws("statistics")
+LAWS = """
+import math
 
-    @laws.law
-    def a_share_is_small(part):
-        share = part / 4.0
-        assert share <= 0.2
+import numpy as np
 
-    @laws.law
-    def arrays_agree(part):
-        found, allowed = np.array([[1.0, 2.5], [3.0, part]]), np.array([[1.0, 2.5], [3.0, 4.0]])
-        assert math.isfinite(part) and np.allclose(found, allowed, rtol=0.0, atol=0.01)
+from sixthsense.testing.laws import Laws
 
+LAWS = Laws("statistics")
+
+
+@LAWS.law
+def a_share_is_small(part):
+    share = part / 4.0
+    assert share <= 0.2
+
+
+@LAWS.law
+def arrays_agree(part):
+    found, allowed = np.array([[1.0, 2.5], [3.0, part]]), np.array([[1.0, 2.5], [3.0, 4.0]])
+    assert math.isfinite(part) and np.allclose(found, allowed, rtol=0.0, atol=0.01)
+"""
+
+
+def test_a_failure_of_a_law_has_what_was_found_and_what_is_allowed(tmp_path, monkeypatch):
+    """The laws are in a file that pytest does not rewrite: it would say more of a plain assertion."""
+    (tmp_path / "plain_laws.py").write_text(LAWS)
+    monkeypatch.syspath_prepend(tmp_path)
+    laws = importlib.import_module("plain_laws").LAWS
     verdicts = testing.check.verdicts_of(laws, 3.0)
     assert verdicts["a_share_is_small"] == "found 0.75, allowed <= 0.2 (share <= 0.2)"
     assert verdicts["arrays_agree"].startswith("found a difference of 1 at [1, 1], allowed 0.01 (np.allclose(found")
