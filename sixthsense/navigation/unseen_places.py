@@ -11,6 +11,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from sixthsense.core.geometry import Array
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.regions import frontier_cells, in_large_regions
@@ -127,8 +128,32 @@ def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:
     k = bisect.bisect_left(halves, True, key=is_way)
     if k == len(halves):
         return None
-    # The narrowest place is a cell; the gap is between the nearest obstacles on its two sides.
-    middle = centres[np.argmin(np.abs(away[rows, cols] - halves[k]))]
+    row, col = _bottleneck(away, halves[k], planner.reachable)
+    return _width_m(points, (np.array([view.frame.left + col, view.frame.top + row]) + 0.5) * view.cell_m)
+
+
+def _bottleneck(away: Array, half: float, reachable: Bools) -> Cell:
+    """The cell at this distance from obstacles beside two parts that only such cells connect; best one of the robot's.
+
+    `away` (H, W) are the distances of free cells to the nearest obstacle, 0 elsewhere.
+    """
+    around = np.ones((3, 3), dtype=np.bool_)
+    wide, count = ndimage.label(away > half, around)
+    own = np.zeros(count + 1, dtype=np.bool_)
+    own[np.unique(wide[reachable])] = True
+    narrow, _ = ndimage.label(away == half, around)
+    found: list[tuple[bool, bool, Cell]] = []
+    for j, part in enumerate(ndimage.find_objects(narrow), 1):
+        rows, cols = (slice(max(one.start - 1, 0), one.stop + 1) for one in part)
+        beside = np.unique(wide[rows, cols][ndimage.binary_dilation(narrow[rows, cols] == j, around)])
+        beside = beside[beside > 0]
+        first = np.argwhere(narrow[part] == j)[0] + (part[0].start, part[1].start)
+        found.append((len(beside) < 2, not own[beside].any(), (int(first[0]), int(first[1]))))
+    return min(found)[2]
+
+
+def _width_m(points: Array, middle: Array) -> float | None:
+    """The distance of the nearest of points (N, 2) to a place (2,) from the nearest one on its other side, m."""
     near = points - middle
     first = near[np.argmin((near**2).sum(axis=1))]
     beyond = near[near @ first < 0.0]
