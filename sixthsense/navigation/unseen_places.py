@@ -25,6 +25,7 @@ Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
 LEAST_AREA_M2 = 0.02
 """a place counts as left unseen if it is at least this large: eight cells, which noise at edges does not reach"""
+_OPPOSITE = -0.8  # cosine: the two sides of a gap are at an angle larger than this, those of a corner are not
 _SMALL_PLACES_FRACTION = 0.003  # of the area seen: small places are listed when together they exceed this
 
 
@@ -129,7 +130,8 @@ def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:
     if k == len(halves):
         return None
     row, col = _bottleneck(away, halves[k], planner.reachable)
-    return _width_m(points, (np.array([view.frame.left + col, view.frame.top + row]) + 0.5) * view.cell_m)
+    width_m = _width_m(points, (np.array([view.frame.left + col, view.frame.top + row]) + 0.5) * view.cell_m)
+    return None if math.isinf(width_m) else width_m
 
 
 def _bottleneck(away: Array, half: float, reachable: Bools) -> Cell:
@@ -152,14 +154,13 @@ def _bottleneck(away: Array, half: float, reachable: Bools) -> Cell:
     return min(found)[2]
 
 
-def _width_m(points: Array, middle: Array) -> float | None:
-    """The distance of the nearest of points (N, 2) to a place (2,) from the nearest one on its other side, m."""
+def _width_m(points: Array, middle: Array) -> float:
+    """The distance, m, between the nearest of points (N, 2) to a (2,) place and the nearest opposite; inf if none."""
     near = points - middle
-    first = near[np.argmin((near**2).sum(axis=1))]
-    beyond = near[near @ first < 0.0]
-    if len(beyond) == 0:
-        return None
-    return float(np.linalg.norm(first - beyond[np.argmin((beyond**2).sum(axis=1))]))
+    away = np.linalg.norm(near, axis=1)
+    first = int(np.argmin(away))
+    opposite = near @ near[first] < _OPPOSITE * away * away[first]
+    return float(np.linalg.norm(near[opposite] - near[first], axis=1).min(initial=math.inf))
 
 
 def _viewpoints(planner: ViewPlanner) -> dict[Reason, Bools]:
