@@ -225,7 +225,7 @@ def _unknown(run: Run) -> Iterator[tuple[str, str]]:
     """What the verdict does not know of a front end that is not shipped."""
     name = run.trace.config.front_end
     if name not in FRONT_ENDS.shipped:
-        yield "not judged", f"whether {name} uses a return once, and whether its links are as exact as they say"
+        yield "not judged", f"the verdict is fitted to shipped front ends, not to {name}: a return may count twice"
 
 
 def _left(run: Run) -> Iterator[tuple[str, str]]:
