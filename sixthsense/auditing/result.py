@@ -98,6 +98,7 @@ class Audit:
         numbers = asdict(self.findings)
         known: dict[str, Any] = _finite(
             {
+                "text": repr(self),
                 "verdict": self.verdict, "outcome": self.outcome, "read_as": self.read_as, "frame": self.frame,
                 "align": self.align, "estimate": self.names[0], "truth": self.names[1], "pair": None,
                 "time_offset_s": self.time_offset_s, "runs": len(self.runs), **numbers,

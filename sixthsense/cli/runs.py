@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from sixthsense.cli.common import (
     Common,
@@ -17,9 +17,12 @@ from sixthsense.cli.common import (
     show_end,
 )
 from sixthsense.cli.options import arg, positional
-from sixthsense.config import Config, is_of_replay
+from sixthsense.config import Config, Range, is_of_replay
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import OF_THE_ROBOT
+
+if TYPE_CHECKING:
+    from sixthsense.running.truth import Truth
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,14 @@ class Replay(WithPriorMap):
     """Units of a log without metres and radians: ranges=mm,odometry=cm,angles=degrees,headings=degrees."""
     robot: Annotated[int | None, arg("N")] = None
     """Robot to use from an MRCLAM folder with several."""
+    truth: Annotated[Path | None, arg("FILE")] = None
+    """True poses, a bag, TUM file or folder of a run: the run is audited by them, ATE, RPE and NEES, aligned by all."""
+    truth_topic: str = ""
+    """Topic of the truth in a bag: one of poses, or /tf."""
+    truth_frames: Annotated[tuple[str, str] | None, arg("PARENT CHILD")] = None
+    """Of the truth in /tf."""
+    truth_offset: Annotated[Annotated[float, Range(0.0, open_low=True)] | None, arg("S")] = None
+    """Search an offset of the truth's clock up to S seconds."""
 
     @classmethod
     def main(cls, args: list[str]) -> int:
@@ -92,14 +103,32 @@ class Replay(WithPriorMap):
             )
         check_out(options.log, options.out)
         from sixthsense.running.runs import RunHooks, replay_log
+        from sixthsense.running.truth import audit_of_run
 
+        truth = options.opened_truth()
         prior = options.prior_start()
         found = open_recorded(options.log, options.settings, options.relations, chosen)
         for note in found.notes:
             announce(f"note: {found.name}: {note}")
         stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
         with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
-            return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), options)
+            run = replay_log(found, folder, RunHooks(hooks, say=announce), prior)
+            if truth is not None:
+                print(f"{audit_of_run(run, truth)}\n")
+            return show_end(run, options)
+
+    def opened_truth(self) -> Truth | None:
+        """The truth to audit the run by, read already: what is wrong with it is told before the replay."""
+        from sixthsense.running.truth import Truth
+
+        if self.truth is None:
+            for name in ("truth_topic", "truth_frames", "truth_offset"):
+                if getattr(self, name):
+                    raise InputError(name, "found without `truth`", "with it")
+            return None
+        truth = Truth(self.truth, self.truth_topic, self.truth_frames, self.truth_offset)
+        truth.check()
+        return truth
 
 
 @dataclass(frozen=True)

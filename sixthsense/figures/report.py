@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import html
+import json
 import platform
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -106,10 +107,22 @@ def page(runs: Sequence[MeasuredRun], figures: Mapping[Path, str]) -> str:
     sections = {"Metrics": table(head, metrics, len(runs))}
     if rest:
         sections["Figures"] = "\n".join(rest)
+    if audits := "\n".join(filter(None, (_audit(*one) for one in labelled))):
+        sections["Beside the truth"] = audits
     sections["Configuration"] = _configuration(labelled)
     sections["Reproduction"] = "\n".join(_reproduction(*one) for one in labelled)
     outcomes = [_outcome(*one) for one in labelled]
     return document(title, [*outcomes, contents(list(figures), list(sections)), first], sections)
+
+
+def _audit(name: str, run: MeasuredRun) -> str:
+    """What the audit of a replay by a truth has left in its folder; empty without one."""
+    if run.folder is None or not (file := run.folder / "audit.json").exists():
+        return ""
+    text = f"<pre>{escaped(json.loads(file.read_text(encoding='utf-8'))['text'])}</pre>"
+    picture = run.folder / "figures" / "audit.png"
+    caption = f"{name} Errors in their 3-sigma tubes, NEES over time, chi-square Q-Q.".strip()
+    return text + (figure_block(picture, caption, run.title) if picture.exists() else "")
 
 
 def document(title: str, top: Sequence[str], sections: Mapping[str, str]) -> str:

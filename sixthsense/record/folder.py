@@ -24,14 +24,14 @@ from sixthsense.record.writing import FolderLock, naming, whole
 
 _FILES = frozenset(
     {
-        "config.toml", FILE, "record.npz", "grid.npz", "metrics.json", "verdict.json", "places_left.csv",
+        "config.toml", FILE, "record.npz", "grid.npz", "metrics.json", "verdict.json", "audit.json", "places_left.csv",
         "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", "landmarks.npz",
         "graph.g2o", "graph.npz", "map.pgm", "map.yaml",
         "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html", "figures/animation.gif",
     }
 )  # fmt: skip
 """files of a run and of its report, but for the figures"""
-_FIGURES = frozenset({"map", "error", "rpe", "nees", "nis", "stages", "coverage", "exploration"})
+_FIGURES = frozenset({"map", "audit", "error", "rpe", "nees", "nis", "stages", "coverage", "exploration"})
 """names of the figures, without suffix"""
 
 _FORMS = (".png", ".svg", ".pdf")

@@ -147,7 +147,6 @@ def test_the_report_has_the_numbers_of_the_findings():
     ratios = [f"{n} {v:.2f} ({low:.2f} to {high:.2f})" for n, (v, low, high) in zip(one.axes, ratios, strict=True)]
     assert lines["by"] == "axis      errors over stated sigmas: " + ", ".join(ratios)
     assert lines["NEES"] == f"{one.nees:.1f} on average; {one.band[0]:.2f} to {one.band[1]:.2f} is consistent"
-    assert lines["inside"] == f"95 %  {100.0 * one.inside:.1f} % of the poses"
     assert lines["over"] == "time    NEES in 5 equal parts: " + ", ".join(f"{part:.1f}" for part in one.parts)
     low, high = one.factor.interval
     assert lines["factor"] == f"{one.factor.value:.2f} for the covariance, {low:.2f} to {high:.2f} with 95 %"

@@ -200,4 +200,5 @@ def reported(cov: Array, pose: Array, own: Array, first: Array, start: Array) ->
     """
     turned = transformed_covariance(own, math.cos(pose[2]), math.sin(pose[2]), 0.0, 0.0)
     x, y = pose[0] - start[0], pose[1] - start[1]
-    return cov + turned + transformed_covariance(first, math.cos(start[2]), math.sin(start[2]), -y, x)
+    found = cov + turned + transformed_covariance(first, math.cos(start[2]), math.sin(start[2]), -y, x)
+    return 0.5 * (found + found.T)  # a solver's marginal is symmetric to 1e-9 only
