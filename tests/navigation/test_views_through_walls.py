@@ -95,6 +95,21 @@ def test_an_opening_is_a_view(opening: int) -> None:
     assert left[0].reason == "gave up" and left[0].x > 60 * CELL_M
 
 
+def test_what_is_beside_single_beams_is_to_be_seen_where_what_is_between_them_connects_them() -> None:
+    """Beams end behind an opening, too far apart for their cells to share edges."""
+    made = planner(20)
+    view, beams = made.view, np.zeros(FRAME, dtype=np.bool_)
+    beams[22:38:3, 61:70:2] = True
+    view.wanted[:, :70] = False
+    view.free |= beams
+    view.filled[:] = view.free
+    view.filled[22:38, 61:70] = True
+    view.edge = np.argwhere(frontier_cells(view.free, view.wanted))
+    assert len(view.edge) == 6
+    assert made.candidates().clusters == []
+    assert sum(len(cells) for cells in made.candidates(view.filled).clusters) == 6
+
+
 def test_what_all_views_show_together_is_ignored_if_it_is_little(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
