@@ -10,12 +10,13 @@ from sixthsense.auditing.opening import Options, Order, Source, open_estimate, o
 from sixthsense.auditing.pairing import (
     Align,
     Errors,
+    Offset,
     aligned,
     check_is_not_the_truth,
     errors_of,
     paired,
     same_space,
-    time_offset_s,
+    time_offset,
 )
 from sixthsense.auditing.pairs import Hat, pair_findings, three_cornered_hat
 from sixthsense.auditing.poses import Frame, Poses
@@ -34,7 +35,7 @@ class _Compared:
     errors: Errors
     other: Errors
     """with the covariances read in the other frame"""
-    offset_s: float | None
+    offset: Offset | None
     trajectory: TrajectoryErrors
     notes: tuple[str, ...]
 
@@ -117,7 +118,7 @@ def _audit_truth(runs: list[_Compared], options: Options) -> Audit:
     notes += [*axis_notes(found), *_other_frame(own, other, align, read)]
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
     words = read_as(read, found.dof, options.order, options.frame is None and bool(first.frames[0]))
-    offsets = tuple(run.offset_s for run in runs if run.offset_s is not None) or None
+    offsets = tuple(run.offset.seconds for run in runs if run.offset is not None) or None
     trajectory = pooled([(len(run.truth), run.trajectory) for run in runs])
     return Audit(
         found, scores(own), tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory
@@ -153,15 +154,26 @@ def _compared(source: Source, true: Source | None, covariance: Path | None, opti
 
 def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options) -> _Compared:
     frame: Frame = estimate.frame or "world"
-    offset_s = None
+    offset, offset_s = None, 0.0
     if options.time_offset is not None:
         plain = same_space(estimate, truth)
-        offset_s = time_offset_s(plain[0], plain[1], options.time_offset, align, frame)
-    pair = paired(estimate, truth, round(1e9 * (offset_s or 0.0)))
+        offset = time_offset(plain[0], plain[1], options.time_offset, align, frame)
+        offset_s = offset.seconds
+    pair = paired(estimate, truth, round(1e9 * offset_s))
     check_is_not_the_truth(pair)
     motion = aligned(pair, align, frame)
     own, other = (errors_of(pair, motion, align, one) for one in (frame, _other(frame)))
-    return _Compared(estimate, pair.truth, own, other, offset_s, trajectory_errors(pair), pair.notes)
+    trajectory = trajectory_errors(pair)
+    return _Compared(estimate, pair.truth, own, other, offset, trajectory, (*pair.notes, *_of_offset(offset)))
+
+
+def _of_offset(offset: Offset | None) -> list[str]:
+    if offset is None:
+        return []
+    return [
+        f"the offset is {1e3 * offset.seconds:+.1f} ms with a sigma of {1e3 * offset.sigma_s:.1f} ms; an error along "
+        f"the way of {1e3 * offset.along_m:.0f} mm at the mean speed would look the same, and is taken off with it"
+    ]
 
 
 def _audit_pair(sources: list[Source], covariance: str | Path | list[str | Path] | None, options: Options) -> Audit:
@@ -185,7 +197,7 @@ def _audit_pair(sources: list[Source], covariance: str | Path | list[str | Path]
     judged = pair_findings(found, first.errors, first.errors.of_estimate, first.truth.positions, hats)
     words = read_as(read, found.dof, options.order, options.frame is None and bool(systems[0].frames[0]))
     names = systems[0].name, " and ".join(system.name for system in systems[1:])
-    offsets = None if first.offset_s is None else (first.offset_s,)
+    offsets = None if first.offset is None else (first.offset.seconds,)
     judged_by, told = scores([first.errors]), (first.errors,)
     return Audit(found, judged_by, told, read, align, words, names, offsets, first.notes, None, judged)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from sixthsense.auditing import rotations
 from sixthsense.auditing.poses import Frame, Poses, interpolated, is_of_plane
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.evaluation.effective import effective_number, whitened_errors
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
 Align = Literal["none", "first", "all"]
@@ -169,8 +171,19 @@ def errors_of(pair: Pair, motion: Motion, align: Align, frame: Frame) -> Errors:
     return Errors(found.stamps_ns[1:], found.error[1:], cov, found.orientations[1:], shared)
 
 
-def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, frame: Frame) -> float:
-    """Seconds to add to the stamps of the estimate, within +- `limit_s`, so that its mean NEES is least.
+class Offset(NamedTuple):
+    """An offset of clocks that was found."""
+
+    seconds: float
+    """to add to the stamps of the estimate"""
+    sigma_s: float
+    """by the curvature of the NEES and the effective number of samples"""
+    along_m: float
+    """the way at the mean speed in so much time: an error along the way of that size looks the same"""
+
+
+def time_offset(estimate: Poses, truth: Poses, limit_s: float, align: Align, frame: Frame) -> Offset:
+    """The offset of the stamps of the estimate, within +- `limit_s`, at which its mean NEES is least.
 
     The search uses the poses whose stamps lie within the truth for every offset. Raises InputError if there are none,
     and if the least value lies at the limit.
@@ -185,10 +198,12 @@ def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, f
     some = estimate.part(rows[np.unique(np.linspace(0, len(rows) - 1, _COARSE_POSES).astype(np.int64))])
     every = estimate.part(rows)
 
-    def cost(offset_s: float, poses: Poses = some) -> float:
+    def errors(offset_s: float, poses: Poses) -> Errors:
         pair: Pair = paired(poses, truth, round(offset_s * 1e9))
-        found = errors_of(pair, aligned(pair, align, frame), align, frame)
-        return float(np.mean(found.nees))
+        return errors_of(pair, aligned(pair, align, frame), align, frame)
+
+    def cost(offset_s: float, poses: Poses = some) -> float:
+        return float(np.mean(errors(offset_s, poses).nees))
 
     grid = np.linspace(-limit_s, limit_s, 2 * _STEPS + 1)
     best = int(np.argmin([cost(offset) for offset in grid]))
@@ -200,7 +215,14 @@ def time_offset_s(estimate: Poses, truth: Poses, limit_s: float, align: Align, f
         )
     bounds = (grid[best - 1], grid[best + 1])
     found = minimize_scalar(cost, bounds=bounds, args=(every,), method="bounded", options={"xatol": 1e-5})
-    return float(found.x)
+    seconds, step = float(found.x), grid[1] - grid[0]
+    least = errors(seconds, every)
+    samples = effective_number([least.nees], [whitened_errors(least.error, least.cov)])
+    bend = (cost(seconds + step, every) + cost(seconds - step, every) - 2.0 * float(least.nees.mean())) / step**2
+    duration_s = 1e-9 * float(truth.stamps_ns[-1] - truth.stamps_ns[0])
+    way_m = float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum())
+    sigma_s = math.sqrt(2.0 / (samples * bend)) if bend > 0.0 else math.inf
+    return Offset(seconds, sigma_s, abs(seconds) * way_m / duration_s)
 
 
 def check_is_not_the_truth(pair: Pair) -> None:
