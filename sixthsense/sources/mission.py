@@ -52,6 +52,8 @@ def mission(scene: Scene, config: Config) -> Mission:
     goal that no way leads to, for a start outside region and building from which the laser reaches no wall, and for
     more walkers than fit in.
     """
+    if config.laser.mirrored:
+        raise InputError("laser.mirrored", "found on a simulated robot", "on a log or a robot")
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
     if config.task == "goal" and goal is None:

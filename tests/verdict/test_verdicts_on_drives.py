@@ -5,10 +5,12 @@ import re
 
 import numpy as np
 import pytest
-from driven import kidnapped, mirrored, mount_left, replayed, ticks
+from driven import config, kidnapped, mirrored, mount_left, replayed, ticks
 
 import sixthsense as ss
+from sixthsense.config.errors import InputError
 from sixthsense.figures.run import Run
+from sixthsense.sources.logs.log import Log
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +57,42 @@ def test_a_robot_that_was_carried_is_told_with_the_time() -> None:
     scans = (np.array(run.trace.stamps_ns) - run.trace.stamps_ns[0]) * 1e-9
     place = run.trace.scan_poses()[np.searchsorted(scans, at_s), :2]
     assert math.dist(verdict.causes[0].places[0], place) < 1.5
+
+
+def test_a_run_is_not_merged_with_a_mirrored_one_and_the_cause_is_told(tmp_path):
+    first, wrong = tmp_path / "first", tmp_path / "wrong"
+    ss.replay(Log(ticks()), config(), out=first, progress=False)
+    ss.replay(Log(mirrored()), config(), out=wrong, progress=False)
+    with pytest.raises(InputError, match=r"wrong: found a map that is broken: .*is the laser mirrored\?"):
+        ss.merge_runs(first, wrong, progress=False)
+
+
+CARMEN = (
+    "FLASER {count} {ranges} {x:.6f} {y:.6f} {theta:.6f} {x:.6f} {y:.6f} {theta:.6f} {stamp:.3f} host {stamp:.3f}\n"
+)
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_log_of_a_mirrored_laser_is_mapped_as_the_robot_drove_where_the_option_says_so(tmp_path, is_told):
+    """The scans of a laser at the robot's middle, written from right to left as CARMEN's are from left to right."""
+    file, start = tmp_path / "m.clf", ticks()[0].odometry
+    with file.open("w") as out:
+        for tick in ticks()[::2]:
+            scan = tick.scan
+            half = np.abs(scan.bearings) <= math.pi / 2.0
+            own = np.where(np.isfinite(scan.ranges), scan.ranges, 81.83)[half][::-1]
+            place = {"x": tick.odometry.x, "y": tick.odometry.y, "theta": tick.odometry.theta}
+            ranges = " ".join(f"{r:.3f}" for r in own)
+            out.write(CARMEN.format(count=len(own), ranges=ranges, stamp=1e-9 * tick.stamp_ns, **place))
+    laser = {"beams": int(half.sum()), "fov": float(np.ptp(scan.bearings[half])), "mirrored": is_told}
+    run = ss.replay(file, laser=laser, progress=False)
+    cause = "" if run.verdict is None else run.verdict.cause
+    assert (cause == "mirrored") != is_told and run.trace.estimates[0] == pytest.approx(start.array(), abs=1e-5)
+
+
+def test_a_simulated_laser_is_not_mirrored():
+    with pytest.raises(InputError, match=r"laser\.mirrored: found on a simulated robot"):
+        ss.run("rectangle", laser={"mirrored": True}, progress=False)
 
 
 def test_a_verdict_comes_back_from_the_folder_of_its_run(tmp_path: pytest.TempPathFactory) -> None:
