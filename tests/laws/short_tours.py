@@ -33,8 +33,8 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
-from sixthsense.slam import landmark_front_end, motion_source
-from sixthsense.slam.features import Features
+from sixthsense.slam import motion_source
+from sixthsense.slam.features import Features, extraction
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import load_scene
 
@@ -116,9 +116,7 @@ def replayed(
 def scaled(what: str, factor: float) -> AbstractContextManager[object]:
     """A context in which `Slam` scales the covariance of all "observations", or that of the "odometry", by `factor`."""
     if what == "observations":
-        return mock.patch.object(
-            landmark_front_end, "extract", partial(_scaled_observations, landmark_front_end.extract, factor)
-        )
+        return mock.patch.object(extraction, "extract", partial(_scaled_observations, extraction.extract, factor))
     return mock.patch.object(motion_source, "odometry", partial(_scaled_odometry, motion_source.odometry, factor))
 
 

@@ -168,4 +168,4 @@ def test_what_speaks_against_the_map_is_shown(tmp_path):
     with ss.View(tmp_path / "run.rrd") as view:
         made = ss.replay(Log(mirrored()), driven_config(), on_tick=view, progress=False)
         view.finish()
-    assert made.verdict.level == "broken" and rows(tmp_path / "run.rrd")["/map/doubts"] == 1
+    assert made.verdict.level == "broken" and rows(tmp_path / "run.rrd")["/map/doubts"] >= 1
