@@ -37,7 +37,7 @@ def check_covariance(name: str, value: Array) -> Array:
     cov = np.ascontiguousarray(value, dtype=np.float64)
     if cov.shape != (3, 3):
         raise ValueError(f"{name}: expected shape (3, 3), got {cov.shape}")
-    if not are_covariances(cov[None]):
+    if not are_covariances(np.array([cov])):
         fault = covariance_fault(cov, lowest=-COVARIANCE_SLACK)
         raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, no eigenvalue below 0")
     return cov
@@ -62,8 +62,8 @@ def _extremes(cov: Array) -> tuple[float, float, float]:
 @numba.njit(cache=True, error_model="numpy")
 def are_covariances(covs: Array) -> bool:
     """Whether all (m, 3, 3) are valid covariances; `check_covariance` says what is wrong with one."""
-    for cov in covs:
-        scale = 0.0
+    for k in range(len(covs)):
+        cov, scale = covs[k], 0.0
         for i in range(3):
             for j in range(3):
                 if not np.isfinite(cov[i, j]):

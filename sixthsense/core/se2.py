@@ -224,8 +224,12 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
         for p, q in ((0, 1), (0, 2), (1, 2)):
             _rotate(a, axes, p, q)
     values = np.array([a[0, 0], a[1, 1], a[2, 2]])
-    order = np.argsort(values)
-    return values[order], axes[:, order]
+    for p, q in ((0, 1), (1, 2), (0, 1)):
+        if values[p] > values[q]:
+            values[p], values[q] = values[q], values[p]
+            for k in range(3):
+                axes[k, p], axes[k, q] = axes[k, q], axes[k, p]
+    return values, axes
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -249,6 +253,20 @@ def _rotate(a: Array, axes: Array, p: int, q: int) -> None:
     for k in range(3):
         kp, kq = axes[k, p], axes[k, q]
         axes[k, p], axes[k, q] = c * kp - s * kq, s * kp + c * kq
+
+
+@numba.njit(cache=True, error_model="numpy")
+def in_axes(values: Array, axes: Array) -> Array:
+    """(3, 3) symmetric, of these eigenvalues (3,) and axes (3, 3), in columns."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] = out[j, i] = (
+                values[0] * axes[i, 0] * axes[j, 0]
+                + values[1] * axes[i, 1] * axes[j, 1]
+                + values[2] * axes[i, 2] * axes[j, 2]
+            )
+    return out
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import eigen, inverse, relative, transformed_covariance, triple
+from sixthsense.core.se2 import between, eigen, in_axes, inverse, transformed_covariance
 from sixthsense.slam.scans.alignment import (
     HESSIAN,
     HITS,
@@ -108,27 +108,12 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
         returns, axes = eigen(0.5 * (matrix(sums[k], HESSIAN) - matrix(sums[k], SPREAD)))
         share = 2.0 / (max(shared_by[k], 2.0) * variance)
         spread = 1.0 / np.maximum(share * np.maximum(returns - FEW_RETURNS, 0.0), _UNOBSERVED**-2)
-        out[k] = _in_axes(spread, axes)
+        out[k] = in_axes(spread, axes)
         for i, shape in enumerate((floor, floor, floor * _LEVER_M**-2)):
             out[k, i, i] += shape
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _in_axes(values: Array, axes: Array) -> Array:
-    """(3, 3) symmetric, of these eigenvalues (3,) and axes (3, 3), in columns."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] = out[j, i] = (
-                values[0] * axes[i, 0] * axes[j, 0]
-                + values[1] * axes[i, 1] * axes[j, 1]
-                + values[2] * axes[i, 2] * axes[j, 2]
-            )
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
 def align_pairs(
     returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gate_m: float
 ) -> Alignments:
@@ -136,12 +121,9 @@ def align_pairs(
     return _aligned(returns, targets, sources, starts, np.full(len(targets), gate_m))
 
 
-@numba.njit(cache=True, error_model="numpy")
 def align_with(returns: Returns, targets: NDArray[np.int64], key: int, poses: Array, gates_m: Array) -> Alignments:
     """Align a scan with others from where their `poses` (K, 3) say, with a first gate (m,) for each."""
-    starts = np.empty((len(targets), 3))
-    for k, target in enumerate(targets):
-        starts[k] = np.array(relative(triple(poses[target]), triple(poses[key])))
+    starts = between(poses[targets], poses[key])
     return _aligned(returns, targets, np.full(len(targets), key), starts, gates_m)
 
 
@@ -187,7 +169,7 @@ def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
     weights, axes = eigen(hessian)
     for k in range(3):
         weights[k] = 1.0 / weights[k] if weights[k] > FEW_RETURNS else 0.0
-    inverse = _in_axes(weights, axes)
+    inverse = in_axes(weights, axes)
     return sigma_m**2 * inverse @ gradient @ inverse
 
 

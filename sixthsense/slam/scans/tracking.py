@@ -27,6 +27,7 @@ from sixthsense.core.se2 import (
     compose,
     composed,
     eigen,
+    in_axes,
     inverse_covariance,
     inverted,
     seen_covariance,
@@ -219,12 +220,12 @@ def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: boo
     best = _judged(aligned(views, prior, starts[0], NEAR_GATE_M), prior, usual, is_guess)
     if best.is_firm:
         return best
-    firm = Prior(prior.pose, prior.information, np.inf)
-    other = _judged(aligned(views, firm, prior.pose, NEAR_GATE_M), prior, usual, is_guess)
-    best = other if _is_likelier(other, best) else best
-    tried = Prior(prior.pose, _WEAK * prior.information, prior.slip_sigmas)
-    for k in range(len(starts)):
-        other = _judged(aligned(views, tried, starts[k], WIDE_GATE_M), prior, usual, is_guess)
+    by, start, gate_m = Prior(prior.pose, prior.information, np.inf), prior.pose, NEAR_GATE_M
+    for k in range(len(starts) + 1):
+        if k > 0:
+            by = Prior(prior.pose, _WEAK * prior.information, prior.slip_sigmas)
+            start, gate_m = starts[k - 1], WIDE_GATE_M
+        other = _judged(aligned(views, by, start, gate_m), prior, usual, is_guess)
         best = other if _is_likelier(other, best) else best
     return best
 
@@ -294,6 +295,15 @@ def _off(prior: Prior, pose: Array) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _product(matrix: Array, vector: Array) -> Array:
+    """(3,) of a matrix (3, 3) and a vector (3,)."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _square(information: Array, off: Array) -> float:
     """Squared Mahalanobis distance."""
     total = 0.0
@@ -318,9 +328,11 @@ def _judged(found: Aligned, prior: Prior, usual: Usual, is_guess: bool) -> Track
     share = contradicted(hits, through)
     is_doubted = share > 1.0 - _DOUBTED * (1.0 - usual.contradicted)
     is_firm = slip <= SLIP_SIGMAS**2 and not is_doubted
-    pose, off, information = found.pose, found.off, _told(found.information)
+    pose, off, (values, axes) = found.pose, found.off, eigen(found.information)
+    # Less than nothing is rounding.
+    information = found.information if values[0] >= 0.0 else in_axes(np.maximum(values, 0.0), axes)
     if is_guess:
-        off, information = _remapped(found.information, prior, off)
+        off, information = _remapped(values, axes, prior, off)
         pose = prior.pose + off
         pose[2] = wrapped(pose[2])
         slip, slipping = _square(prior.information, off), _slipping(prior, off)
@@ -335,24 +347,18 @@ def _judged(found: Aligned, prior: Prior, usual: Usual, is_guess: bool) -> Track
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _told(information: Array) -> Array:
-    """The information without directions of which nothing is told: less than nothing is rounding."""
-    values, axes = eigen(information)
-    return information if values[0] >= 0.0 else (axes * np.maximum(values, 0.0)) @ axes.T
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _remapped(information: Array, prior: Prior, off: Array) -> tuple[Array, Array]:
+def _remapped(values: Array, axes: Array, prior: Prior, off: Array) -> tuple[Array, Array]:
     """The distance from the prior, and the information, where what few returns tell of is left to the prior.
+
+    `values` (3,) and `axes` (3, 3), in columns, are those of the information.
 
     Along a corridor a few wrong partners hold a scan where it was. Solution remapping, Zhang, Kaess and Singh 2016,
     "On degeneracy of optimization-based state estimation problems", with information in place of a threshold.
     """
-    values, axes = eigen(information)
     values = np.maximum(values, _LEAST)
     told = np.maximum(values - _FEW / SIGMA_M**2, 0.0)
-    left = (axes * told) @ axes.T
-    by_scans = (axes * (told / values)) @ axes.T @ ((prior.information + (axes * values) @ axes.T) @ off)
+    left, share = in_axes(told, axes), in_axes(told / values, axes)
+    by_scans = _product(share, _product(prior.information + in_axes(values, axes), off))
     return solved(prior.information + left, by_scans), left
 
 
