@@ -74,7 +74,18 @@ def key_times(trace: Trace) -> Array:
 
 def key_distances(trace: Trace) -> Array:
     """(K,) metres of the true path, or of the odometry without truth, from the first scan to each keyframe."""
+    return np.asarray(np.interp(trace.key_stamps_ns, trace.stamps_ns, _scan_distances(trace)))
+
+
+def scan_places(trace: Trace, over: Over) -> Array:
+    """(S,) where the scans lie on an axis of time or distance."""
+    if over == "distance":
+        return _scan_distances(trace)
+    return 1e-9 * (np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+
+
+def _scan_distances(trace: Trace) -> Array:
     path = np.array(trace.truths or trace.odometry).reshape(-1, 3)
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
     steps[[scan - 1 for scan in trace.carried_scans()]] = 0.0
-    return np.asarray(np.interp(trace.key_stamps_ns, trace.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])))
+    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import Over, defined_poses, key_places, key_poses, key_times
+from sixthsense.evaluation.curves import Over, defined_poses, key_places, key_poses, key_times, scan_places
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
 from sixthsense.record.trace import STAGES, Trace
 
@@ -39,46 +39,52 @@ AXIS_LABELS = {"time": "time [s]", "distance": "distance travelled [m]"}
 """of the axes that curves are drawn over"""
 
 
-def draw_tube(ax: Any, t: Array, error: Array, bound: Array, label: str, **style: Any) -> None:
-    """Draw an error (K,) within a band of +-`bound` (K,), whose label is given."""
-    ax.fill_between(t, -bound, bound, label=label, **BAND)
+def draw_tube(ax: Any, t: Array, error: Array, bound: Array, band: str, label: str = "error", **style: Any) -> None:
+    """Draw an error (K,) with its label within a band of +-`bound` (K,), whose label is `band`."""
+    ax.fill_between(t, -bound, bound, label=band, **BAND)
     ax.axhline(0.0, color=TRUTH, linewidth=0.5)
-    ax.plot(t, error, label="error", **style)
+    ax.plot(t, error, label=label, **style)
     ax.margins(x=0.0)
 
 
 def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, over: Over = "time") -> None:
-    """Draw the error of x, y or heading (component 0, 1, 2) at keyframes with the estimator's ±3σ bounds.
+    """Draw the error of x, y or heading (component 0, 1, 2) at every scan, and at keyframes with the ±3σ bounds there.
 
-    The trace must have truth.
+    The trace must have truth. Metrics and tables count every scan.
     """
     shown = COMPONENTS[component]
     poses, covs = key_poses(trace.key_estimates)
-    error = (poses - np.array(trace.key_truths).reshape(-1, 3))[:, component]
-    if component == 2:
-        error = wrap_angle(error)
+
+    def error(found: Array, truths: Sequence[Array]) -> Array:
+        off = (found - np.array(truths).reshape(-1, 3))[:, component]
+        return np.asarray(shown.scale * (wrap_angle(off) if component == 2 else off))
+
+    scans, keys = error(np.array(trace.estimates).reshape(-1, 3), trace.truths), error(poses, trace.key_truths)
+    ax.plot(scan_places(trace, over), scans, color=color, linewidth=0.6, alpha=0.45, label="scans")
+    of_scans, of_keys = (_with_unit(_rms(one), shown.unit) for one in (scans, keys))
+    place = {"transform": ax.transAxes, "ha": "right", "va": "bottom", "fontsize": "small"}
+    ax.text(0.99, 0.03, f"RMS of scans {of_scans}, of keyframes {of_keys}", **place)
     bound = 3.0 * np.sqrt(np.maximum(covs[:, component, component], 0.0)) * shown.scale
-    draw_tube(ax, key_places(trace, over), shown.scale * error, bound, "±3σ", color=color, linewidth=1.0)  # noqa: RUF001
+    style: dict[str, Any] = {"color": color, "linewidth": 1.2, "label": "keyframes"}
+    draw_tube(ax, key_places(trace, over), keys, bound, "±3σ at keyframes", **style)  # noqa: RUF001
     ax.set(xlabel=AXIS_LABELS[over], ylabel=f"error of {shown.name} [{shown.unit}]")
 
 
 def draw_nees(
     ax: Any,
     trace: Trace,
-    frame: Literal["world", "invariant"],
     color: str = ESTIMATE,
     label: str | None = None,
     band: bool = True,
     over: Over = "time",
 ) -> None:
-    """Draw the pose's NEES at keyframes, in world or right-invariant coordinates, with the 95 % band of one run.
+    """Draw the pose's NEES at keyframes, in world coordinates, with the 95 % band of one run.
 
-    The trace must have truth. The curve begins where the covariance has full rank. Use `band` for the first run on the
-    axes only.
+    Its mean in right-invariant ones is among the metrics. The trace must have truth. The curve begins where the
+    covariance has full rank. Use `band` for the first run on the axes only.
     """
     poses, truth, covs = defined_poses(trace.key_estimates, trace.key_truths)
-    by_world = frame == "world"
-    values = metrics.nees_world(poses - truth, covs) if by_world else metrics.nees_invariant(poses, truth, covs)
+    values = metrics.nees_world(poses - truth, covs)
     limits = metrics.nees_band(1)
     if band:
         ax.axhspan(*limits, label="95 % band", **BAND)
@@ -90,7 +96,7 @@ def draw_nees(
     ax.set_yscale("log")
     # A NEES close to 0 must not determine the scale.
     _rise(ax, 0.03, max(30.0, 1.5 * values.max(initial=0.0)))
-    ax.set(xlabel=AXIS_LABELS[over], ylabel=f"pose NEES, {frame} [1]")
+    ax.set(xlabel=AXIS_LABELS[over], ylabel="pose NEES at keyframes [1]")
     ax.margins(x=0.0)
 
 
@@ -113,6 +119,15 @@ def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = N
     _rise(ax, 0.0, 1.05 * max([1.0, *per_dof[dof > 0], *high[dof > 0]]))
     ax.set(xlabel="time [s]", ylabel="NIS per dof [1]")
     ax.margins(x=0.0)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """A length below a decimetre in millimetres, anything else in its unit."""
+    return f"{1e3 * value:.3g} mm" if unit == "m" and value < 0.1 else f"{value:.3g} {unit}".replace(" °", "°")
 
 
 def _rise(ax: Any, low: float, high: float) -> None:

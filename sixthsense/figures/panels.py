@@ -6,7 +6,7 @@ import base64
 import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -171,15 +171,10 @@ def _errors(shown: Sequence[_Shown], canvas: Canvas) -> None:
 
 
 def _nees(shown: Sequence[_Shown], canvas: Canvas) -> None:
-    """In world and in right-invariant coordinates; on a single Axes the former."""
-    panels = canvas.panels(1 if canvas.is_one else 2, 1, WIDTH_IN, 8.0, sharex=True, sharey=True)
-    frames: tuple[Literal["world", "invariant"], ...] = ("world", "invariant")
-    for ax, frame in zip(panels, frames, strict=False):
-        for k, one in enumerate(shown):
-            draw_nees(ax, one.trace, frame, one.color, one.label, k == 0, canvas.over)
-        canvas.label(ax)
-    if canvas.given is None:
-        panels[0].set_xlabel("")
+    (ax,) = canvas.panels(1, 1, WIDTH_IN, 4.4)
+    for k, one in enumerate(shown):
+        draw_nees(ax, one.trace, one.color, one.label, k == 0, canvas.over)
+    canvas.label(ax)
 
 
 def _nis(shown: Sequence[_Shown], canvas: Canvas) -> None:
@@ -214,8 +209,8 @@ KINDS = {
         "Maps", "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.", _maps
     ),
     "error": Kind(
-        "Pose error at keyframes, with the three-sigma bounds of the estimator",
-        "Error of the pose at keyframes, and the three-sigma bounds of the estimator.",
+        "Pose error at every scan, and at keyframes with the three-sigma bounds of the estimator",
+        "Error of the pose at every scan, and at keyframes with the three-sigma bounds that the estimator has there.",
         _errors, lambda one: one.trace.key_truths, "the truth at keyframes",
     ),
     "rpe": Kind(

@@ -42,7 +42,7 @@ def test_a_run_without_keyframes_can_be_drawn(trace):
     nothing = dataclasses.replace(trace, key_stamps_ns=[], key_estimates=[], key_truths=[], associations=[])
     for k in range(3):
         figures.draw_error(Figure().add_subplot(), nothing, k)
-    figures.draw_nees(Figure().add_subplot(), nothing, "world")
+    figures.draw_nees(Figure().add_subplot(), nothing)
     figures.draw_nis(Figure().add_subplot(), nothing)
 
 
@@ -68,7 +68,7 @@ def test_every_point_of_an_ellipse_has_the_mahalanobis_distance_that_95_percent_
 
 @pytest.mark.parametrize("what", sorted({*KINDS} - {"rpe"}))
 def test_every_figure_is_drawn_on_axes_of_ones_own(explored, what) -> None:
-    panels = {"error": 3, "nees": 2}.get(what, 1)
+    panels = {"error": 3}.get(what, 1)
     own = Figure().subplots(panels, 1, squeeze=False).ravel()
     assert explored.plot(what, ax=own) is None
     assert all(ax.has_data() for ax in own) and "rectangle" in own[0].get_title()
