@@ -68,14 +68,16 @@ def truth_of(file: Path) -> np.ndarray:
 
 def heard(live: subprocess.Popen[str]) -> dict[str, list[Any]]:
     """What a live run publishes until it ends, by topic."""
+    from sixthsense.live.diagnostics import TOPIC as DIAGNOSTICS
     from sixthsense.live.maps import MAP
     from sixthsense.live.network import Network, Node
     from sixthsense.live.publishing import POSE, TF
     from sixthsense.record.messages import Messages
 
-    store, found = Messages().store, {topic.name: [] for topic in (MAP, POSE, TF)}
+    topics = (MAP, POSE, TF, DIAGNOSTICS)
+    store, found = Messages().store, {topic.name: [] for topic in topics}
     with Node(Network(int(DOMAIN))) as node:
-        readers = [(topic, node.reader(topic)) for topic in (MAP, POSE, TF)]
+        readers = [(topic, node.reader(topic)) for topic in topics]
         while live.poll() is None:
             node.wait(0.05)
             for topic, reader in readers:
@@ -84,13 +86,15 @@ def heard(live: subprocess.Popen[str]) -> dict[str, list[Any]]:
 
 
 def check_published(published: dict[str, list[Any]], trace: Any) -> None:
-    """Poses are those of the record at the stamps of the scans, and there is a map with walls."""
+    """Poses are those of the record at the stamps of the scans, there is a map with walls, and it is told good."""
     by_stamp = dict(zip(trace.stamps_ns, trace.estimates, strict=True))
     assert len(published["/pose"]) > 20 and len(published["/tf"]) > 20
     for message in published["/pose"]:
         at = message.pose.pose.position
         assert (at.x, at.y) == tuple(by_stamp[stamp_ns(message)][:2])
     assert set(np.unique(published["/map"][-1].data)) == {-1, 0, 100}
+    told = [status for message in published["/diagnostics"] for status in message.status]
+    assert 5 <= len(told) <= 10 and {status.level for status in told} == {0}  # once a second
 
 
 def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays_it(here, _compiled):
