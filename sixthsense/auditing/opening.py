@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, poses_from
+from sixthsense.auditing.validation import faults, of_degrees
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked, shown
 from sixthsense.core.arguments import as_array
@@ -75,10 +76,18 @@ def open_estimate(source: Source, covariance: Path | None, options: Options) -> 
         poses = _of_arrays("estimate", source, ("stamps", "poses", "covariances"))
     assert poses.covs is not None
     check_covariances(poses)
+    poses = _ordered(poses, options)
+    notes = *poses.notes, *(f"cannot be right: {fault}" for fault in faults(poses))
+    return replace(poses, notes=notes, frame=options.frame or poses.frame)
+
+
+def _ordered(poses: Poses, options: Options) -> Poses:
+    """The poses with covariances whose first half is the translation."""
     if options.order == "rotation":
+        assert poses.covs is not None
         half = 2 if poses.covs.shape[1] == 3 else 3
-        poses = replace(poses, covs=np.roll(poses.covs, (half, half), axis=(1, 2)))
-    return replace(poses, frame=options.frame or poses.frame)
+        return replace(poses, covs=np.roll(poses.covs, (half, half), axis=(1, 2)))
+    return poses
 
 
 def open_truth(source: Source | None, estimate: Poses, of: Source, options: Options) -> Poses:
@@ -210,6 +219,8 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         raise InputError("", str(error)) from None
     if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
         raise InputError(f"{what} covariances", "found 6 x 6 of planar poses", "3 x 3")
+    if poses.shape[1:] == (3,) and (fault := of_degrees(poses[:, 2])):
+        raise InputError(f"{what} poses", f"found headings in degrees: {fault}", "radians")
     return poses_from(what, _nanoseconds(stamps_s), poses, covs)
 
 

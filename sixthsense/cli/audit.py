@@ -67,6 +67,8 @@ class Audit(Options):
     """Write all numbers."""
     overwrite: bool = False
     """Replace these files if they exist."""
+    validate: bool = False
+    """Only say what cannot be right in the estimates, without a truth: exit code 1 if something cannot."""
     require: Literal["consistent"] | None = None
     """Exit code 1 unless the verdict is consistent."""
 
@@ -79,6 +81,8 @@ class Audit(Options):
         _check_outputs(options)
         from sixthsense.auditing.call import audit
 
+        if options.validate:
+            return _validated(options)
         is_pair = bool(options.pair) and len(options.estimate) == 1
         found = audit(
             options.estimate[0] if is_pair else list(options.estimate),
@@ -102,6 +106,24 @@ class Audit(Options):
             found.plot().savefig(options.figure, dpi=150)
             print(f"written: {options.figure}")
         return FAILED if options.require and found.outcome != options.require else DONE
+
+
+def _validated(options: Audit) -> int:
+    """Print what cannot be right in each estimate, or that nothing was found."""
+    from sixthsense.auditing.opening import Options as Reading
+    from sixthsense.auditing.opening import open_estimate
+
+    code = DONE
+    files: list[Path | None] = [Path(file) for file in options.covariance] or [None] * len(options.estimate)
+    if len(files) != len(options.estimate):
+        raise InputError("covariance", f"found {len(files)} for {len(options.estimate)} estimates", "one for each")
+    for source, file in zip(options.estimate, files, strict=True):
+        poses = open_estimate(source, file, Reading(options.topic, frame=options.frame, order=options.order))
+        wrong = [note for note in poses.notes if note.startswith("cannot be right")]
+        for line in poses.notes or ("nothing found that cannot be right",):
+            print(f"{poses.name}: {line}")
+        code = FAILED if wrong else code
+    return code
 
 
 def _check_outputs(options: Audit) -> None:

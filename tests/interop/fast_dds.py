@@ -82,7 +82,8 @@ def test_a_user_pauses_a_run_sets_its_pose_and_begins_a_new_map(peer, tmp_path):
     first, second = (ss.load(tmp_path / name).trace for name in ("x", "x-2"))
     assert (first.outcome, second.outcome) == ("reset", "time is up")
     assert max(np.diff(first.stamps_ns)) > 1.5e9 and len(first.carried_scans()) == 1
-    assert np.hypot(*(first.estimates[-1][:2] - (11.3, -7.2))) < 1.0 > np.hypot(*second.estimates[0][:2])
+    assert np.hypot(*(first.estimates[-1][:2] - (11.3, -7.2))) < 1.0
+    assert np.hypot(*second.estimates[0][:2]) < 3.0  # in the frame of odometry: the robot has driven meanwhile
 
 
 def test_scans_on_another_clock_are_set_right(peer, tmp_path):
