@@ -15,7 +15,10 @@ STATED = {
     "people": True, "no_odometry": True, "front_end": "scan-matching",
 }  # fmt: skip
 """values that follow from no type"""
-TOGETHER = {"goal": None, "task": "tour", "no_odometry": False, "front_end": "landmarks", "estimator": "ekf-oc"}
+TOGETHER = {
+    "goal": None, "task": "tour", "no_odometry": False, "front_end": "landmarks", "estimator": "ekf-oc",
+    "laser.mirrored": False,
+}  # fmt: skip
 """values, besides, with which all others are valid at once"""
 
 
