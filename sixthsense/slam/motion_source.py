@@ -228,7 +228,9 @@ class LastVelocity:
         if found is None:
             self.lost()
             return since
-        self.measured(since, found)
+        # From the prior that the scan was aligned with: without its allowance the way of a millisecond is known to less
+        # than any scan, and what scans are off by would be a velocity of metres a second.
+        self.measured(self.for_tracking(since), found)
         return found
 
     def for_tracking(self, since: Odometry) -> Odometry:

@@ -9,6 +9,7 @@ from rooms import CORNERS, RING, ROOM, drive, ticks
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.motion_source import LastVelocity, ScanClock
 from sixthsense.slam.slam import Slam
 
@@ -108,3 +109,17 @@ def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():
     periods = [clock.period(stated) for stated in rng.choice([0.0, 0.4], 200)]
     assert np.abs(np.array(periods[100:]) - 0.2).max() < 0.1
     assert clock.period(3.0) == 3.0
+
+
+def test_what_a_scan_is_off_by_within_a_millisecond_is_no_velocity_of_metres_a_second():
+    """The way of a millisecond is known better than any scan tells it: 4 mm are the scan's error."""
+    velocity, cov, since = LastVelocity(), np.diag([9e-6, 9e-6, 4e-6]), STANDSTILL
+    for k in range(1, 4):  # the robot moves at .5 m/s, a scan each .2 s
+        since = since.then(velocity.predicted(since.motion, 0.2, True))
+        since = velocity.aligned(since, Odometry(Pose(0.1 * k, 0.0, 0.0), cov))
+    for off in (0.004, -0.004):
+        velocity.begin_anew()
+        since = STANDSTILL.then(velocity.predicted(Pose(), 1e-3, False))
+        since = velocity.aligned(since, Odometry(Pose(since.motion.x + off, off, 0.0), cov))
+        after = velocity.predicted(since.motion, 0.2, False).motion
+        assert np.hypot(after.x, after.y) < 0.3
