@@ -144,7 +144,7 @@ def _unseen(evidence: Evidence, found: Witnesses, begin: int, end: int, words: s
 
 def _walls(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     """Two passes of one place that contradict each other."""
-    wrong = np.nan_to_num(share(evidence.old_found.astype(np.float64), least=2.0 * FEWEST))
+    wrong = np.nan_to_num(share(evidence.old_found.astype(np.float64)))
     if not (wrong > _OLD_SHARE).any():
         return
     one, other = evidence.old_pairs[int(np.argmax(wrong))].tolist()

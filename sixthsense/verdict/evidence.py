@@ -154,10 +154,13 @@ def _ties(found: Witnesses, count: int) -> Array:
     return np.full(count, np.nan) if found.matched is None else found.matched.astype(np.float64)
 
 
-def share(found: Array, column: int = THROUGH, least: float = FEWEST) -> Array:
-    """(n,) share of what is judged that is contradicted, or drawn twice; NaN where too little is judged."""
+def share(found: Array, column: int = THROUGH) -> Array:
+    """(n,) share of what is judged that is contradicted, or drawn twice; NaN where nothing is judged.
+
+    A few returns tell little: as many as `FEWEST` that nothing contradicts are known before.
+    """
     judged = found[:, SURFACE] + found[:, THROUGH]
-    return np.where(judged >= least, found[:, column] / np.maximum(judged, 1.0), np.nan)
+    return np.where(judged > 0.0, found[:, column] / (judged + FEWEST), np.nan)
 
 
 def over_window(values: Array, travel: Array) -> Array:
