@@ -51,7 +51,7 @@ class Evidence(NamedTuple):
     recent: Array
     """(K, 4) returns that scans of the last 10 m have judged: confirmed, seen through, of these drawn twice, and all"""
     cut: Array
-    """(K,) share of contradicted returns between the scans right before a keyframe and those from it on: the median"""
+    """(K,) share of contradicted returns between the scans right before a keyframe and those from it on"""
     overlap: Array
     """(K,) share of the scan's returns that one of the scans before confirms, the best of them"""
     old: Array
@@ -101,21 +101,18 @@ def evidence_of(found: Witnesses) -> Evidence:
 
 
 def _cuts(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
-    """(K,) share contradicted of the pairs of one keyframe before each and one from it on: the median of them."""
+    """(K,) least share contradicted of the pairs of one keyframe before each and one from it on.
+
+    A single scan that fits nothing is no cut if the next ones fit those before.
+    """
     is_near = pairs[:, 1] - pairs[:, 0] <= NEXT
     own, shares = pairs[is_near], share(found[is_near].astype(np.float64))
-    over = np.full((count, NEXT * (NEXT + 1) // 2), np.nan)
-    column = 0
-    for width in range(1, NEXT + 1):
-        is_wide = own[:, 1] - own[:, 0] == width
-        for ahead in range(width):
-            at = own[is_wide, 1] - ahead
-            over[at, column] = shares[is_wide]
-            column += 1
-    known = np.isfinite(over).any(axis=1)
-    out = np.full(count, np.nan)
-    out[known] = np.nanmedian(over[known], axis=1)
-    return out
+    best = np.full(count, np.inf)
+    for later in range(NEXT):
+        at = own[:, 1] - later
+        spans = (own[:, 0] < at) & np.isfinite(shares)
+        np.minimum.at(best, at[spans], shares[spans])
+    return np.where(np.isinf(best), np.nan, best)
 
 
 def _overlaps(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:

@@ -10,10 +10,11 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.verdict.disagreement import disagreement, lag, mount, turns
-from sixthsense.verdict.evidence import over_window, share, sum_over_window
+from sixthsense.verdict.evidence import _cuts, over_window, share, sum_over_window
 from sixthsense.verdict.judge import judge
 from sixthsense.verdict.views import (
     ALL,
+    FEWEST,
     SURFACE,
     THROUGH,
     TWICE,
@@ -132,11 +133,27 @@ def test_a_delay_between_scans_and_wheels_is_found_with_its_sign(late_s):
 
 
 def test_shares_and_windows_are_those_of_plain_sums():
-    found = np.array([[30.0, 10.0, 4.0, 90.0], [9.0, 1.0, 1.0, 20.0]])
-    assert share(found)[0] == 0.25 and share(found, TWICE)[0] == 0.1 and math.isnan(share(found)[1])
+    found = np.array([[30.0, 10.0, 4.0, 90.0], [4.0, 1.0, 1.0, 20.0], [0.0, 0.0, 0.0, 20.0]])
+    assert FEWEST == 15 and share(found)[:2].tolist() == [10.0 / 55.0, 1.0 / 20.0] and math.isnan(share(found)[2])
+    assert share(found, TWICE)[0] == 4.0 / 55.0
     travel, values = np.array([0.0, 4.0, 9.0, 13.0, 30.0]), np.array([2.0, 7.0, math.nan, 3.0, 1.0])
     assert over_window(values, travel).tolist() == [2.0, 7.0, 7.0, 7.0, 1.0]
     assert sum_over_window(values, travel).tolist() == [2.0, 9.0, 9.0, 10.0, 1.0]
+
+
+def test_one_scan_that_fits_nothing_is_no_cut_and_a_place_that_no_pair_spans_is_one():
+    pairs = np.array([(k, k + step) for k in range(12) for step in (1, 2, 3) if k + step < 12])
+    for cut_at, lone in ((6, 3), (None, 3), (6, None)):
+        apart = np.zeros(len(pairs), dtype=bool)
+        if cut_at is not None:
+            apart |= (pairs[:, 0] < cut_at) & (pairs[:, 1] >= cut_at)
+        if lone is not None:
+            apart |= (pairs == lone).any(axis=1)
+        judged = np.where(apart[:, None], [3, 57, 0, 90], [60, 0, 0, 90])
+        cuts = _cuts(pairs, judged, 12)
+        assert math.isnan(cuts[0]) and np.flatnonzero(cuts[1:] > 0.5).tolist() == (
+            [] if cut_at is None else [cut_at - 1]
+        )
 
 
 def test_a_scan_seen_in_a_mirror_is_itself_when_it_is_seen_in_one_again():
