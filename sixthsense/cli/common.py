@@ -64,7 +64,7 @@ class OfScene(WithSettings):
     """Shipped scene, or a .toml, map_server .yaml, .scn file."""
 
     def settings_of_scene(self, flags: Table) -> Config:
-        """The configuration with the scene; InputError for two scenes, InputError for one that does not exist."""
+        """The configuration with the scene; InputError for two scenes, and for one that does not exist."""
         if self.scene is not None and "scene" in flags:
             raise InputError("scene", f"found beside {self.scene!r}", "one scene")
         config = self.settings if self.scene is None else dataclasses.replace(self.settings, scene=self.scene)
@@ -118,7 +118,7 @@ def parse_command(
 
     `base` is a function of the positional value that returns the default preset or a complete configuration; without
     one it is the command's preset. Precedence is defaults < preset < configuration file < flags; a file that names a
-    preset is read over that. Raises InputError for two presets, and InputError that names the flag, or the file and
+    preset is read over that. Raises InputError for two presets, and one that names the flag, or the file and
     its field.
     """
     given, table = parse(args, command)

@@ -170,7 +170,7 @@ class Merge(Common):
 
 
 def _base(runs: tuple[str, ...] | None) -> str | Config:
-    """The configuration of the first run; InputError for other than two, InputError for what is no folder of a run."""
+    """The configuration of the first run; InputError for other than two, and for what is no folder of a run."""
     from sixthsense.sources.logs import is_run_folder
     from sixthsense.sources.replay_input import base_of
 

@@ -58,7 +58,7 @@ class Calibration:
 def calibrate(config: Config, samples: int = 100, on_sample: Callable[[], object] | None = None) -> Calibration:
     """Drive the robot of `config` in its scene and fit `assumed` to its noise; `on_sample` is called after each sample.
 
-    Raises InputError for an invalid scene or start, InputError for too few samples or landmarks.
+    Raises InputError for an invalid scene or start, and for too few samples or landmarks.
     """
     if samples < FEWEST_SAMPLES:
         raise InputError("samples", f"found {samples}", f"at least {FEWEST_SAMPLES}")

@@ -154,8 +154,8 @@ def run(
     `scene` is that scene where it is loaded already, or the mission there where it has been checked, which is that of
     one run alone. `on_tick` is called after every tick with it and the trace so far.
     With `prior` the robot begins with the map of an earlier run; the true start is that of scene and configuration.
-    Ctrl-C ends the run in order, as "interrupted". Raises InputError for an invalid scene, start or goal, InputError
-    and InputError for a prior map that cannot be used.
+    Ctrl-C ends the run in order, as "interrupted". Raises InputError for an invalid scene, start or goal, and
+    for a prior map that cannot be used.
     """
     if not isinstance(scene, Mission):
         config, scene = mission_of(config, scene)

@@ -76,7 +76,7 @@ def simulate(
     """Simulate `config.scene`, with `scene` as of `loop.run`, and keep the run in `folder`, if there is one.
 
     With `prior` the robot begins with the map of an earlier run. Raises InputError for a scene, start or goal that will
-    not do; InputError and InputError for a prior map that will not; OSError, naming the file, for one that cannot
+    not do, and for a prior map that will not; OSError, naming the file, for one that cannot
     be written.
     """
     from sixthsense.loop import run as loop

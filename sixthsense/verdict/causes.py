@@ -93,6 +93,12 @@ def _place(found: Witnesses, k: int) -> str:
     return f"({x:.1f}, {y:.1f})"
 
 
+def _at(name: str, told: str, evidence: Evidence, found: Witnesses, k: int) -> Cause:
+    """A cause at a keyframe."""
+    at_s = float(evidence.stamps_s[k])
+    return Cause(name, told, at_s, at_s, found.trajectory[k : k + 1, :2])
+
+
 def _carried(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     """Scans that contradict the one before: the robot is elsewhere than its wheels say."""
     new = np.nan_to_num(evidence.cut)
@@ -102,7 +108,7 @@ def _carried(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
             f"the scan at {at:.0f} s, at {_place(found, k)}, does not fit those before "
             f"({100 * new[k]:.0f} % of what both saw contradicts); was the robot carried?"
         )
-        yield Cause("carried", told, at, at, found.trajectory[k : k + 1, :2])
+        yield _at("carried", told, evidence, found, k)
 
 
 def _slips(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
@@ -116,7 +122,7 @@ def _slips(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
             f"wheels and scans differ by {way[k]:.1f} m and {math.degrees(turn[k]):.0f}° "
             f"at {at:.0f} s, at {_place(found, k)}; did the wheels slip?"
         )
-        yield Cause("slip", told, at, at, found.trajectory[k : k + 1, :2])
+        yield _at("slip", told, evidence, found, k)
 
 
 def _blind(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
@@ -173,7 +179,7 @@ def _untied(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     for k in _events(is_loose, evidence.stamps_s, -overlap)[:1]:
         at = float(evidence.stamps_s[k])
         told = f"from {at:.0f} s on, at {_place(found, k)}, the map is tied to the rest by odometry alone"
-        yield Cause("untied", told, at, at, found.trajectory[k : k + 1, :2])
+        yield _at("untied", told, evidence, found, k)
 
 
 def _wheels(evidence: Evidence) -> Iterator[Cause]:
