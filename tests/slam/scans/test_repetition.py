@@ -113,6 +113,24 @@ def test_headings_on_both_sides_of_half_a_turn_agree(monkeypatch):
     assert place is not None and len(place.links) == 6
 
 
+def test_a_pair_that_says_another_pose_than_the_others_is_no_link(monkeypatch):
+    old = [Pose(x, 1.1, 0.0) for x in np.arange(4.0, 16.0, 0.4)]
+    new = [Pose(x, 1.2, 0.1) for x in np.arange(10.0, 15.0, 0.4)]
+    graph = graph_of([*old, *new], corridor(), ROUND)
+
+    def off(*args):
+        aligned = align_pairs(*args)
+        aligned.poses[2, 0] += 1.3
+        return aligned
+
+    recent = np.arange(graph.count - 6, graph.count)
+    hypothesis = Hypothesis(graph.poses[-1], OldPass(graph, np.arange(len(old))), False)
+    links = verified(graph, graph.count - 1, recent, hypothesis).links
+    monkeypatch.setattr(place_search, "align_pairs", off)
+    assert [k for _, k in verified(graph, graph.count - 1, recent, hypothesis).links] == [k for _, k in links if k != 2]
+    assert 2 in [k for _, k in links]
+
+
 def test_views_overlap_where_scans_look_at_one_place():
     ahead, away = Pose(8.0, 1.1, 0.0), Pose(15.0, 1.1, 0.0)
     graph = graph_of([ahead, away, Pose(13.0, 1.1, math.pi)], corridor(), HALF)

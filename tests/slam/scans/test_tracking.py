@@ -77,3 +77,11 @@ def test_informations_are_inverses_of_the_lasers_covariances_in_the_worlds_axes(
         steps = 1e-6 * np.eye(3)
         jacobian = np.column_stack([(in_world(motions[k] + h) - in_world(motions[k] - h)) / 2e-6 for h in steps])
         assert np.allclose(found, np.linalg.inv(jacobian @ covs[k] @ jacobian.T), rtol=1e-6)
+
+
+def test_what_is_usual_is_learnt_from_one_scan_in_fifty():
+    """A scan without a contradiction takes a fiftieth from the share of contradictions, whatever is usual of lines."""
+    views, prior = views_and_prior(scan_at(TRUE), TRUE)
+    few, many = (track(views, prior, TRUE.array()[None], Usual(0.11, lines), False).usual for lines in (0.3, 0.7))
+    assert few.contradicted == pytest.approx(0.98 * 0.11, rel=1e-12)
+    assert many.lines - few.lines == pytest.approx(0.98 * 0.4, rel=1e-12)

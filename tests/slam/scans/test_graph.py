@@ -1,0 +1,97 @@
+"""Links and poses of the graph of keyframes, with an estimator that notes what it is told."""
+
+import math
+
+import numpy as np
+import pytest
+from rooms import HALF, ROOM, scan_at, stored
+
+from sixthsense.core.geometry import Pose
+from sixthsense.core.se2 import compose
+from sixthsense.slam.scans.graph import AGREEMENT, ScanGraph
+from sixthsense.slam.scans.links import SEEN_SHARE, align_with
+from sixthsense.slam.scans.tracking import Usual
+
+MOUNT = np.array([0.23, -0.11, 0.6])
+# The second looks away from much of what the first sees.
+POSES = [Pose(-2.7, 1.4, 0.3), Pose(-2.4, 1.1, 2.75), Pose(-2.5, 1.6, 0.4)]
+
+
+class Noting:
+    """An estimator whose poses move by a known step with each question."""
+
+    def __init__(self, poses):
+        self.poses, self.asked, self.ids, self.out = np.array([pose.array() for pose in poses]), 0, 0, []
+
+    def trajectory(self):
+        self.asked += 1
+        return compose(self.poses, np.array([0.01 * self.asked, 0.02, 0.0]))
+
+    def poses_at(self, keys):
+        return self.poses[keys]
+
+    def link(self, links):
+        first, self.ids = self.ids, self.ids + len(links)
+        return list(range(first, self.ids))
+
+    def unlink(self, ids):
+        self.out += ids
+
+    def take_out(self, keys):
+        return [0]
+
+
+@pytest.fixture
+def graph():
+    rng = np.random.default_rng(3)
+    found = ScanGraph(stored(*(scan_at(pose, ROOM, HALF, rng=rng) for pose in POSES)), Noting(POSES), 0.01)
+    for pose in POSES:
+        found.add(pose.array(), MOUNT)
+    for key in (1, 2):
+        found.uncertainty.add(key - 1, key, 3e-4, 2e-5)
+    return found
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+def test_scans_are_linked_that_share_as_much_as_scans_usually_do(graph, is_old):
+    found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, np.array([0.12]))
+    seen, through, count = found.views[0].T
+    least = (seen / count).min() / SEEN_SHARE
+    assert least < (seen / (seen + through)).min() / AGREEMENT and 0.1 < least < 0.95, "the share seen decides"
+    for usual, is_linked in ((0.97 * least, True), (1.03 * least, False)):
+        graph.usual = Usual(1.0 - usual, 0.5)
+        before = len(graph.links)
+        if is_old:
+            graph.link_old(1, np.array([0]), None)
+        else:
+            graph.link(1, np.array([], dtype=np.int64), None)
+        assert len(graph.links) - before == is_linked
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda graph, ids: graph.with_loss(ids, 2.5),
+        lambda graph, ids: graph.remove(ids),
+        lambda graph, ids: graph.take_out([1]),
+    ],
+)
+def test_all_poses_are_read_anew_when_links_change(graph, change):
+    ids = graph.link_old(2, np.array([0]), None)
+    assert ids
+    change(graph, ids)
+    asked = graph.estimator.asked
+    assert asked >= 1
+    moved = compose(graph.estimator.poses, np.array([0.01 * asked, 0.02, 0.0]))
+    assert graph.poses == pytest.approx(compose(moved, MOUNT), abs=1e-12)
+
+
+def test_all_poses_are_read_anew_from_time_to_time(graph):
+    for k in range(12):
+        pose = Pose(-2.5 + 0.02 * k, 1.6, 0.4 + 0.01 * math.sin(k))
+        graph.store.put(scan_at(pose, ROOM, HALF))
+        graph.store.keep()
+        graph.estimator.poses = np.vstack([graph.estimator.poses, pose.array()])
+        graph.add(pose.array(), MOUNT)
+        graph.link(graph.count - 1, np.array([], dtype=np.int64), None)
+    assert graph.estimator.asked == 1
