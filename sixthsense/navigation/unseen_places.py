@@ -9,7 +9,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters
@@ -111,6 +110,8 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
 
 def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:
     """How wide the narrowest gap is on the widest way from the cells in reach to another one, m; None without a way."""
+    from scipy.spatial import cKDTree  # here, since a run that begins need not wait for it
+
     view = planner.view
     points = view.grid.obstacle_points(view.frame)
     if len(points) == 0:

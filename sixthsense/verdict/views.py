@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
@@ -178,8 +177,10 @@ def recent_pairs(travel: Array) -> NDArray[np.int64]:
 def old_pairs(trajectory: Array, travel: Array) -> NDArray[np.int64]:
     """(m, 2) each keyframe behind the nearest one of each other pass near it, the earlier first."""
     count = len(trajectory)
-    if count < 2:
+    if count < 2 or travel[-1] - travel[0] <= APART_M:
         return np.zeros((0, 2), np.int64)
+    from scipy.spatial import cKDTree  # here, since a run that begins need not wait for it
+
     tree, at = cKDTree(trajectory[:, :2]), trajectory[:, :2]
     near_m, near = map(np.asarray, tree.query(at, k=min(_AROUND, count), distance_upper_bound=_AROUND_M))
     own = np.broadcast_to(np.arange(count)[:, None], near.shape)
