@@ -80,13 +80,24 @@ SEAMS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SEAMS)
-def test_the_example_of_each_seam_keeps_its_contract_and_is_used_in_a_run(kind, lab):
+def test_the_example_of_each_seam_is_checked_run_replayed_compared_and_sent_to_the_workers_of_a_campaign(kind, lab):
+    pytest.importorskip("distributed")
     path, check, task = SEAMS[kind]
     verdicts = check(path)
     assert verdicts.kept, verdicts
     run = ss.run("rectangle", max_time=5.0, progress=False, out="run", **{kind: path}, **task)
     assert getattr(run.trace.config, kind) == path
     assert getattr(ss.load("run").trace.config, kind) == path
+    code, _, err = sixthsense("replay", "run", "--out", "again")
+    assert code == cli.DONE, err
+    assert (lab / "again" / "estimate.tum").read_bytes() == (lab / "run" / "estimate.tum").read_bytes()
+    assert getattr(ss.load("again").trace.config, kind) == path
+    task["max_time"] = 1.0
+    done = ss.campaign("rectangle", seeds=range(20), workers=2, out="many", progress=False, **{kind: path}, **task)
+    frame = done.frame()
+    assert len(frame) == 20 and not (frame["outcome"] == "error").any(), frame["error"].dropna().unique()
+    both = ss.compare([done, run])
+    assert {getattr(sample.config, kind) for sample in both.samples} == {path} and len(both.samples) == 21
 
 
 @pytest.mark.slow

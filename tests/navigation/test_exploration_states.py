@@ -15,6 +15,7 @@ from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.navigation.view_planner import NO_TARGET
+from sixthsense.navigation.visibility import line_of_sight
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 
@@ -154,6 +155,17 @@ def test_a_turn_at_the_viewpoint_that_does_not_show_the_target_is_counted(event:
     cells = unknown_cells(exploration)
     exploration.handle(event, pose)
     assert (attempts(exploration)[cells] == 1).all()
+    # So is all else that is unknown and in sight from there, cell by cell.
+    view, reach = exploration._view, exploration._sensor.gapless_reach
+    here, is_unknown = view.cell(pose.position), ~(view.seen | view.obstacles)
+    in_sight = [
+        (row, col)
+        for row, col in np.argwhere(is_unknown)
+        if np.hypot(row - here[0], col - here[1]) <= reach and line_of_sight(view.obstacles, *here, row, col)
+    ]
+    counted = {tuple(cell) for cell in np.argwhere(attempts(exploration))}
+    assert counted == {*in_sight, *zip(*map(np.ndarray.tolist, cells), strict=True)}
+    assert len(in_sight) > len(cells[0])
 
 
 @pytest.mark.parametrize("event", ["turned around", "stuck"])
