@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -34,6 +35,7 @@ class OddRobot(simulated.SimulatedRobot):
 simulated.SimulatedRobot = OddRobot
 """
 """before a command: its robot takes TwistStamped, and its scans come late, not at all, and twice"""
+PARTS = Path(__file__).parents[2] / "docs" / "howto" / "parts"
 DOMAIN = str(20 + os.getpid() % 40)
 
 
@@ -133,10 +135,12 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "outcome"), [("SIGTERM", 143, "interrupted"), ("SIGINT", 0, "ended by the user")]
+    ("name", "code", "outcome", "estimator"),
+    [("SIGTERM", 143, "interrupted", "ekf"), ("SIGINT", 0, "ended by the user", "fading:Fading")],
 )
-def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, here, _compiled):
-    task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
+def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, estimator, here, _compiled):
+    shutil.copy(PARTS / "fading.py", here)  # an estimator of a user's own
+    task = ("--estimator", estimator, "--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
     with (
         process("simulate", "rectangle", "--truth", "truth.tum", program=ODD_ROBOT) as robot,
         process("live", "--out", "x", *task) as live,
@@ -155,6 +159,7 @@ def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, he
         assert robot.returncode == 143 and "collisions: 0" in said
     assert reason_not_a_run(here / "x") == ""
     assert json.loads((here / "x" / "metrics.json").read_text())["outcome"] == outcome
+    assert ss.load(here / "x").trace.config.estimator == estimator
 
 
 def test_a_robot_whose_driver_is_killed_stands_within_its_timeout_and_is_alone(here, _compiled, capsys):
