@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from sixthsense.campaigns.cluster import check_workers, connect, execute
 from sixthsense.campaigns.folder import Rows, check_folder, check_rows, read_folder, save_folder
-from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
 from sixthsense.campaigns.worker import FAILED
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
@@ -90,7 +90,7 @@ def campaign(
     progress: bool | None = None,
     **fields: Unpack[CampaignFields],
 ) -> Campaign:
-    """Run every scene with every estimator, preset, planner and seed, and keep a row of metrics for each run.
+    """Run every scene with every preset, estimator, other part and seed, and keep a row of metrics for each run.
 
         done = ss.campaign("apartment", seeds=range(5), estimator=["ekf", "isam2"], task="tour", max_time=60, out="mc")
         ss.compare(done).plot("error", by="estimator")
@@ -114,9 +114,9 @@ def campaign(
     progress
         Whether to show a progress bar; by default in a notebook and at a terminal.
     **fields
-        Fields of the configuration by name, for all runs. `estimator`, `preset` and `planner` may be lists: the
-        campaign compares their values. Parts of your own must be of modules that the workers can import; those with
-        options take `estimator_options`, `planner_options`.
+        Fields of the configuration by name, for all runs. `preset` and the parts (`estimator`, `front_end`, `planner`,
+        ...) may be lists: the campaign compares their values. Parts of your own must be of modules that the workers
+        can import; those with options take `estimator_options`, `planner_options`, and so on.
 
     Raises
     ------
@@ -140,7 +140,8 @@ def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given
     for name in ("scene", "seed"):
         if name in given:
             raise InputError(name, "found for a campaign", f"{name}s")
-    axes = {axis: _values(axis, given.pop(axis, getattr(default, axis))) for axis in AXES if axis != "scene"}
+    stated = {axis: given.pop(axis) for axis in AXES if axis in given}
+    axes = {axis: _values(axis, stated.get(axis, getattr(default, axis))) for axis in {*ALWAYS[1:], *stated}}
     for parts in KINDS:
         if parts.kind in axes:
             axes[parts.kind] = tuple(map(parts.name_of, axes[parts.kind]))
@@ -189,13 +190,12 @@ class Campaign(RunTable):
         self._settings: dict[tuple[str, ...], Config] = {}
 
     def frame(self) -> pd.DataFrame:
-        """A row per run, sorted: scene, estimator, front_end, preset, planner, seed, and a column per metric.
+        """A row per run, sorted: scene, preset, the parts, seed, and a column per metric.
 
         A metric that a run lacks is NaN. A run that raised has the outcome "error" and the reason in the column
         `error`. Raises InputError for a table that cannot be read.
         """
         frame = self._rows.frame()
-        frame["front_end"] = [self._setting(axes).front_end for axes in frame[list(AXES)].itertuples(index=False)]
         return frame[[*LABELS, *(name for name in frame.columns if name not in LABELS)]]
 
     def samples(self, name: str) -> list[Sample]:
@@ -209,10 +209,11 @@ class Campaign(RunTable):
         return found
 
     def summary(self) -> list[list[str]]:
-        """A heading, and a row per scene, estimator, preset and planner with means and outcomes; empty without runs."""
+        """A heading, and a row per scene, preset and parts with means and outcomes; empty without runs."""
         frame, curves = self.frame(), self._rows.curves()
         found = [curves.get(key) for key in frame["config_hash"]] if len(frame) else []
-        return summary(frame, AXES, [None if one is None else one.nees for one in found]) if found else []
+        axes = [axis for axis in AXES if axis in ALWAYS or frame[axis].nunique() > 1]
+        return summary(frame, axes, [None if one is None else one.nees for one in found]) if found else []
 
     def _setting(self, axes: tuple[str, ...]) -> Config:
         """The configuration of the runs with these values of `AXES`, with seed 0."""

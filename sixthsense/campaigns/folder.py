@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, import_extra, ranges, seed_range
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, import_extra, ranges, seed_range
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.errors import InputError
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FILE = "campaign.toml"
-TEXTS = ("config_hash", *AXES, "front_end", "task", "host", "version", "outcome", "verdict", "error")
+TEXTS = ("config_hash", *AXES, "task", "host", "version", "outcome", "verdict", "error")
 """text columns of every row; `error` is filled only for a failed run, which has no metrics"""
 
 ORDER = (*AXES, "seed")
@@ -42,7 +42,7 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
     """Check the output folder and return its `campaign.toml`, or None for a new or empty folder.
 
     Raises InputError for a file, for a folder that is not a campaign's, and for a campaign with other shared fields
-    or changed scenes. The axes may have other values: scenes, estimators, presets, planners and seeds can be added.
+    or changed scenes. The axes may have other values: scenes, presets, parts and seeds can be added.
     """
     allowed = "a new or empty folder, or that of this campaign"
     if folder.exists() and not folder.is_dir():
@@ -92,7 +92,8 @@ def save_folder(folder: Path, campaign: CampaignPlan, saved: Mapping[str, Any] |
     scenes = campaign.digests()
     if saved is not None:
         seeds = [seed for text in saved["axes"]["seeds"] for seed in seed_range(text)]
-        axes = {axis: list(dict.fromkeys([*saved["axes"][axis], *values])) for axis, values in axes.items()}
+        axes = {axis: list(dict.fromkeys([*saved["axes"].get(axis, ()), *values])) for axis, values in axes.items()}
+        axes = {**saved["axes"], **axes}
         axes["seeds"] = ranges([*seeds, *campaign.seeds])
         scenes = {**saved["scenes"], **scenes}
     if saved is None or (axes, scenes) != (saved["axes"], saved["scenes"]):
@@ -123,7 +124,7 @@ def read_folder(folder: Path) -> Mapping[str, Any]:
     for name in ("axes", "fields", "scenes"):
         if not isinstance(table.get(name), dict):
             raise InputError(file, f"{name}: found no such table", allowed)
-    for axis in (*AXES, "seeds"):
+    for axis in dict.fromkeys((*ALWAYS, "seeds", *table["axes"])):
         values = table["axes"].get(axis)
         if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
             raise InputError(file, f"axes.{axis}: found {shown(values)}", "a list of texts")

@@ -21,8 +21,11 @@ from sixthsense.config.parts import KINDS, options_class
 from sixthsense.config.section import shown
 from sixthsense.config.tree import check_parts
 
-AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
-"""fields of the configuration that a campaign may vary, besides the seed"""
+ALWAYS = ("scene", "estimator", "preset", "planner")
+"""axes that every campaign has a value of"""
+AXES: tuple[str, ...] = (*ALWAYS, *(parts.kind for parts in KINDS if parts.kind not in ALWAYS))
+"""fields of the configuration that a campaign may vary, besides the seed; what the others are follows from the preset
+where they have no value"""
 
 MOST_RUNS = 100_000
 
@@ -36,10 +39,10 @@ def import_extra(module: str) -> Any:
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """The axes of a campaign, each with at least one value, and the fields that its runs share."""
+    """The values of the axes of a campaign, and the fields that its runs share."""
 
     values: Mapping[str, tuple[str, ...]]
-    """of each of `AXES`; scenes are shipped names or files"""
+    """of those of `AXES` that have some; scenes are shipped names or files"""
     seeds: tuple[int, ...]
     """without duplicates"""
     fields: Mapping[str, Any]
@@ -47,7 +50,7 @@ class CampaignPlan:
 
     def axes(self) -> dict[str, list[str]]:
         """The values of each axis as lists of texts; seeds as ranges."""
-        return {**{axis: list(self.values[axis]) for axis in AXES}, "seeds": ranges(self.seeds)}
+        return {**{axis: list(values) for axis, values in self.values.items()}, "seeds": ranges(self.seeds)}
 
     def bases(self) -> list[Config]:
         """The configuration of each preset with the shared fields."""
@@ -74,8 +77,9 @@ class CampaignPlan:
             for base in bases:
                 at_scene = with_people(loaded, dataclasses.replace(base, scene=scene))
                 mission(loaded, at_scene)
-                for planner, estimator in itertools.product(self.values["planner"], self.values["estimator"]):
-                    found.append(with_parts(at_scene, self.fields, planner=planner, estimator=estimator))
+                for names in itertools.product(*(self.values.get(parts.kind, (None,)) for parts in KINDS)):
+                    named = {parts.kind: name for parts, name in zip(KINDS, names, strict=True) if name is not None}
+                    found.append(with_parts(at_scene, self.fields, **named))
         return found
 
 
@@ -213,5 +217,6 @@ def campaign_of(axes: Mapping[str, Iterable[str]], seeds: Iterable[int], *tables
     Files of scenes are taken by their absolute paths, so that names do not depend on the working folder.
     """
     scenes = (str(absolute(scene)) if Path(scene).suffix else scene for scene in axes["scene"])
-    values = {axis: tuple(dict.fromkeys(scenes if axis == "scene" else axes[axis])) for axis in AXES}
+    axes = {**axes, "scene": scenes}
+    values = {axis: tuple(dict.fromkeys(axes[axis])) for axis in AXES if axis in axes}
     return CampaignPlan(values, tuple(dict.fromkeys(seeds)), shared_fields(*tables))

@@ -70,7 +70,7 @@ def _by_scene(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
 def _axes(samples: Sequence[Sample]) -> list[str]:
     """The axes that differ in these runs, without the last ones where all would make too many groups."""
     fields = [sample.fields for sample in samples]
-    by = differing(fields, ["estimator", "front_end", "preset", "planner"]) or ["estimator"]
+    by = differing(fields, AXES[1:]) or ["estimator"]
     while len(by) > 1 and len({tuple(one[name] for name in by) for one in fields}) > MOST_GROUPS:
         by.pop()
     return by
@@ -123,8 +123,8 @@ def _page(campaign: Campaign, pictures: Mapping[Path, str], tables: Mapping[str,
 
 def _settings(saved: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """The axes, the fields that all runs share, and the versions."""
-    for axis in (*AXES, "seeds"):
-        yield axis, " ".join(saved["axes"][axis])
+    for axis, values in saved["axes"].items():
+        yield axis, " ".join(values)
     yield from flat_texts(saved["fields"]).items()
     for name, version in saved.get("versions", {}).items():
         yield f"version of {name}", str(version)
@@ -135,7 +135,7 @@ def _command(campaign: Campaign, saved: Mapping[str, Any]) -> str:
     axes = saved["axes"]
     words = ["sixthsense", "campaign", *axes["scene"], "--seeds", *axes["seeds"]]
     for axis in AXES[1:]:
-        words += [f"--{axis}", *axes[axis]]
+        words += [f"--{axis.replace('_', '-')}", *axes[axis]] if axis in axes else []
     for name, value in flat_texts(saved["fields"]).items():
         section, dot, field = name.replace("_", "-").rpartition(".")
         words += [f"--{section}{dot}{'no-' * (value == 'false')}{field}"]

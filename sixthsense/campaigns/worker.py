@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from sixthsense.campaigns.plan import config_hash, scene_digest
+from sixthsense.campaigns.plan import AXES, config_hash, scene_digest
 from sixthsense.config import Config
 from sixthsense.config.parts import KINDS
 from sixthsense.config.version import __version__
@@ -60,8 +60,7 @@ def describe(
 
 def row_of(config: Config) -> dict[str, Any]:
     """The columns that are known before a run: the configuration's hash, the axes, the task and the seed."""
-    names = ("scene", "estimator", "front_end", "preset", "planner", "task", "seed")
-    return {"config_hash": config_hash(config), **{name: getattr(config, name) for name in names}}
+    return {"config_hash": config_hash(config), **{name: getattr(config, name) for name in (*AXES, "task", "seed")}}
 
 
 def run_row(config: Config, version: str) -> dict[str, Any]:

@@ -13,13 +13,13 @@ from sixthsense.cli.common import announce
 from sixthsense.cli.options import Options, Table, arg, is_of_part, of_parts, parse, positional
 from sixthsense.config import Range, is_of_replay, load_config, merge, preset, prior_map_of
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import ESTIMATORS, PLANNERS
+from sixthsense.config.parts import ESTIMATORS, EXPLORERS, EXTRACTORS, FRONT_ENDS, KINDS, PLACE_SEARCHES, PLANNERS
 from sixthsense.config.tree import task_of
 
 
 @dataclass(frozen=True)
 class Campaign(Options):
-    """Monte Carlo: run every scene with every estimator, preset, planner and seed, and keep metrics of each run.
+    """Monte Carlo: run every scene with every preset, estimator, other part and seed, and keep metrics of each run.
 
     The same command resumes a campaign that was stopped. With more scenes, seeds, ... it makes the missing runs only.
 
@@ -35,12 +35,20 @@ class Campaign(Options):
     """Shipped names or files (.toml, map_server .yaml, .scn), before all options."""
     seeds: Annotated[tuple[str, ...], arg("FIRST:LAST ...")] = ()
     """Seeds from FIRST to LAST, LAST excluded; several ranges and single seeds may be given."""
+    preset: Annotated[tuple[str, ...], arg("NAME ...")] = ()
+    """Presets to compare."""
     estimator: Annotated[tuple[Annotated[str, ESTIMATORS], ...], arg("NAME ...")] = ()
     """Estimators to compare."""
-    preset: Annotated[tuple[str, ...], arg("NAME ...")] = ()
-    """Presets."""
+    front_end: Annotated[tuple[Annotated[str, FRONT_ENDS], ...], arg("NAME ...")] = ()
+    """Front ends to compare."""
+    extractor: Annotated[tuple[Annotated[str, EXTRACTORS], ...], arg("NAME ...")] = ()
+    """Extractors of features to compare."""
+    place_search: Annotated[tuple[Annotated[str, PLACE_SEARCHES], ...], arg("NAME ...")] = ()
+    """Place searches to compare."""
     planner: Annotated[tuple[Annotated[str, PLANNERS], ...], arg("NAME ...")] = ()
-    """Path planners."""
+    """Path planners to compare."""
+    explorer: Annotated[tuple[Annotated[str, EXPLORERS], ...], arg("NAME ...")] = ()
+    """Explorers to compare."""
     config: Path | None = None
     """TOML file, partial or complete, that overrides each preset."""
     out: Annotated[Path | None, arg("DIR")] = None
@@ -57,15 +65,18 @@ class Campaign(Options):
         """Make the runs of a campaign that are missing in its folder."""
         given, table = parse(args, Campaign)
         if any(map(is_of_part, args)):
-            parts = (of_parts(merge(preset(), {k: v})) for k in ("estimator", "planner") for v in given.get(k, ()))
+            kinds = [parts.kind for parts in KINDS]
+            parts = (of_parts(merge(preset(), {k: v})) for k in kinds for v in given.get(k, ()))
             given, table = parse(args, Campaign, chain(*parts))
         options = Campaign(**given)
         out = _checked_folder(options, table)
         from sixthsense.campaigns import Execution, complete
-        from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
+        from sixthsense.campaigns.plan import ALWAYS, AXES, campaign_of, plan, seed_range
 
         file = _read_config_table(options.config, options.preset)
-        axes = {axis: getattr(options, axis) or (file.get(axis, getattr(preset(), axis)),) for axis in AXES}
+        axes = {axis: (getattr(preset(), axis),) for axis in ALWAYS}
+        axes |= {axis: (file[axis],) for axis in AXES if axis in file}
+        axes |= {axis: values for axis in AXES if (values := getattr(options, axis))}
         seeds = (seed for text in options.seeds for seed in seed_range(text))
         campaign = campaign_of(axes, seeds, file, task_of(table), table)
         runs = plan(campaign)

@@ -27,16 +27,32 @@ from sixthsense.config.sections import (
 )
 
 Table = Mapping[str, Any]
+PartName = str | Callable[..., Any]
+"""a name, or the class or function itself"""
+
+
+class _EstimateParts(TypedDict, total=False):
+    """Parts that every call takes."""
+
+    estimator: PartName
+    front_end: PartName
+    extractor: PartName
+    place_search: PartName
+
+
+class _DrivingParts(TypedDict, total=False):
+    """Parts of a robot that is driven."""
+
+    planner: PartName
+    explorer: PartName
 
 
 class _EstimateFields(TypedDict, total=False):
     """Fields of the estimate alone, which every call takes."""
 
-    front_end: str | Callable[..., Any]
+    estimator_options: Table
     front_end_options: Table
-    extractor: str | Callable[..., Any]
     extractor_options: Table
-    place_search: str | Callable[..., Any]
     place_search_options: Table
     calibrate_wheels: bool
     calibrate_sensor: bool
@@ -57,6 +73,8 @@ class _EstimateFields(TypedDict, total=False):
 class _WorldFields(_EstimateFields, total=False):
     """Fields of a robot that is simulated or driven as well."""
 
+    planner_options: Table
+    explorer_options: Table
     task: Literal["explore", "goal", "tour"]
     goal: Sequence[float] | None
     tour: Sequence[Sequence[float]] | None
@@ -70,17 +88,11 @@ class _WorldFields(_EstimateFields, total=False):
     explore: ExploreConfig | Table
 
 
-class Fields(_WorldFields, total=False):
+class Fields(_WorldFields, _EstimateParts, _DrivingParts, total=False):
     """Fields of `ss.preset`: the whole configuration."""
 
     scene: str
     preset: str
-    estimator: str | Callable[..., Any]
-    estimator_options: Table
-    planner: str | Callable[..., Any]
-    planner_options: Table
-    explorer: str | Callable[..., Any]
-    explorer_options: Table
     seed: int
 
 
@@ -92,24 +104,16 @@ class _PriorMapFields(TypedDict, total=False):
     lost: bool
 
 
-class RunFields(_WorldFields, _PriorMapFields, total=False):
+class RunFields(_WorldFields, _EstimateParts, _DrivingParts, _PriorMapFields, total=False):
     """Fields of `ss.run`."""
 
     preset: str
-    estimator: str | Callable[..., Any]
-    estimator_options: Table
-    planner: str | Callable[..., Any]
-    planner_options: Table
-    explorer: str | Callable[..., Any]
-    explorer_options: Table
     seed: int
 
 
-class MergeFields(_EstimateFields, total=False):
+class MergeFields(_EstimateFields, _EstimateParts, total=False):
     """Fields of `ss.merge_runs`."""
 
-    estimator: str | Callable[..., Any]
-    estimator_options: Table
     seed: int
 
 
@@ -122,10 +126,10 @@ class ReplayFields(MergeFields, _PriorMapFields, total=False):
 class CampaignFields(_WorldFields, total=False):
     """Fields of `ss.campaign`: one value or several of what it compares."""
 
-    estimator: str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
-    estimator_options: Table
+    estimator: PartName | Sequence[PartName]
+    front_end: PartName | Sequence[PartName]
+    extractor: PartName | Sequence[PartName]
+    place_search: PartName | Sequence[PartName]
+    planner: PartName | Sequence[PartName]
+    explorer: PartName | Sequence[PartName]
     preset: str | Sequence[str]
-    planner: str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
-    planner_options: Table
-    explorer: str | Callable[..., Any]
-    explorer_options: Table

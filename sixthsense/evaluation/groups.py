@@ -13,11 +13,12 @@ import numpy as np
 
 from sixthsense.config import Config, as_table
 from sixthsense.config.errors import InputError, nearest
+from sixthsense.config.parts import KINDS
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Curves, Over
 
-LABELS = ("scene", "estimator", "front_end", "preset", "planner", "seed")
+LABELS = ("scene", "preset", *(parts.kind for parts in KINDS), "seed")
 """fields of the configuration that a table of several runs has as columns"""
 Fields = Mapping[str, Any]
 """of a run: the fields of its configuration by dotted names, and its name"""

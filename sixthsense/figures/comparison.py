@@ -50,7 +50,7 @@ class Comparison:
         self.names = [sample.name for sample in samples]
 
     def frame(self) -> pd.DataFrame:
-        """A row per run with index `run`: scene, estimator, front_end, preset, planner, seed, and a column per metric.
+        """A row per run with index `run`: scene, preset, the parts, seed, and a column per metric.
 
         NaN where a run lacks the metric; InputError without pandas.
         """

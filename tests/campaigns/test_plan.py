@@ -264,6 +264,22 @@ def planned(monkeypatch: pytest.MonkeyPatch, line: str) -> CampaignPlan:
     return plans[0]
 
 
+def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = (
+        "loop --seeds 3:5 --preset worn --estimator isam2 --front-end landmarks scan-matching --explorer random --out c"
+    )
+    one = planned(monkeypatch, line)
+    assert one.values["front_end"] == ("landmarks", "scan-matching") and one.values["explorer"] == ("random",)
+    assert "extractor" not in one.values and "front_end" not in one.fields
+    runs = [run.config for run in plan(one).values()]
+    assert [(run.seed, run.front_end) for run in runs] == [
+        (seed, name) for seed in (3, 4) for name in ("landmarks", "scan-matching")
+    ]
+    assert {(run.explorer, run.extractor, run.estimator) for run in runs} == {("random", "lines", "isam2")}
+    with pytest.raises(InputError, match="front_end: found scan-matching with estimator ekf"):
+        plan(CampaignPlan({**one.values, "estimator": ("ekf",)}, one.seeds, one.fields))
+
+
 def test_flags_beat_the_file_which_beats_the_presets(monkeypatch: pytest.MonkeyPatch) -> None:
     text = "estimator = 'ekf'\nscene = 'block'\nseed = 7\nmax_time = 9.0\n[laser]\nbeams = 90\nmax_range = 3.0\n"
     Path("a.toml").write_text(text)
@@ -312,7 +328,8 @@ def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], 
 def test_a_row_has_the_axes_of_its_run_and_its_hash() -> None:
     config = dataclasses.replace(ss.preset("worn"), scene="loop", seed=3, planner="rrtstar", task="tour")
     names = {"scene": "loop", "estimator": "ekf-invariant", "front_end": "landmarks", "preset": "worn"}
-    names |= {"planner": "rrtstar", "task": "tour", "seed": 3}
+    names |= {"planner": "rrtstar", "task": "tour", "seed": 3, "extractor": "lines", "explorer": "frontier"}
+    names |= {"place_search": "branch-and-bound"}
     assert worker.row_of(config) == {"config_hash": config_hash(config), **names}
     with pytest.raises(worker.OtherVersionError):
         worker.run_row(config, "0.0.0")
