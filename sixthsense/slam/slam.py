@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config
-from sixthsense.config.errors import PartError
-from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS
+from sixthsense.config.errors import InputError, PartError
+from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS, STATES_RELATIVE
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import part_of
 from sixthsense.core.arguments import as_pose, as_ranges
@@ -26,6 +26,7 @@ from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
+from sixthsense.slam.estimators.base import StatesRelative
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import (
     CheckedFrontEnd,
@@ -194,6 +195,19 @@ class Slam:
     def trajectory(self) -> Array:
         """(K, 3) pose at each keyframe, as believed now."""
         return self.estimator.trajectory()
+
+    def relative_covariances(self, pairs: ArrayLike) -> Array:
+        """How well keyframes are known relative to each other, as believed now.
+
+        `pairs` (m, 2) are rows of `trajectory`. Returns (m, 3, 3): the covariance of x, y, heading of the second
+        keyframe in the frame of the first, m and rad. Raises InputError for an estimator that cannot say it (filters),
+        KeyError for an unknown keyframe.
+        """
+        rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+        for part in (self._front_end, self.estimator):
+            if isinstance(part, StatesRelative):
+                return part.relative_covariances(rows)
+        raise InputError("estimator", f"found {self.config.estimator}", STATES_RELATIVE)
 
     def wheels(self) -> ParameterEstimate[Wheels] | None:
         """The wheels' parameters at the last keyframe, if they are estimated."""

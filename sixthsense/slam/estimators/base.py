@@ -193,6 +193,18 @@ class Smoother(Filter, Protocol):
         ...
 
 
+@runtime_checkable
+class StatesRelative(Protocol):
+    """Who can say how well poses of updates are known relative to each other."""
+
+    def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
+        """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes.
+
+        `pairs` (m, 2); KeyError for an unknown update.
+        """
+        ...
+
+
 def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
     """Raise ValueError, naming the landmark, for an observation that is not finite or whose covariance is invalid."""
     if not observations:

@@ -208,6 +208,15 @@ class ISAM2:
         rows = [solved[k] if k < first else self._unsolved.poses[k - first].triple() for k in updates]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
+    def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
+        """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes.
+
+        `pairs` (m, 2) are of solved poses; KeyError for an unknown one.
+        """
+        self.poses_at(pairs.ravel().tolist())
+        self._solve_waiting()
+        return np.array([self._solution.relative(*pair).cov for pair in pairs.tolist()]).reshape(-1, 3, 3)
+
     def graph_error(self) -> float:
         """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
         return float(self._solver.isam.getFactorsUnsafe().error(self._solver.isam.calculateEstimate()))

@@ -6,6 +6,7 @@ they are asked for: reading takes longer than most updates.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast
@@ -20,7 +21,7 @@ from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.parameters import P, ParameterEstimate
-from sixthsense.core.se2 import compose, composed_covariance, turned_covariance
+from sixthsense.core.se2 import between, compose, composed_covariance, turned_covariance
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators.base import check_parameters
@@ -316,6 +317,21 @@ class Solution:
         found = [self._solver.isam.calculateEstimatePose2(X(k)) for k in anchors]
         poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in found]).reshape(-1, 3)
         return poses if motions is None else compose(poses, motions)
+
+    def relative(self, before: int, after: int) -> Odometry:
+        """A solved pose in the frame of another one, with what their errors have in common."""
+        (first, to_first), (second, to_second) = self._chain.anchored(before), self._chain.anchored(after)
+        motion, cov = Pose(), np.zeros((3, 3))
+        if first != second:
+            joint = self._solver.covariance([X(first), X(second)])
+            motion = Pose(*between(*self.poses_at([first, second])))
+            c, s = math.cos(motion.theta), math.sin(motion.theta)
+            # Each pose errs in its own axes; an error of the first one's heading turns the second one about it.
+            by_poses = np.array([
+                [-1.0, 0.0, motion.y, c, -s, 0.0], [0.0, -1.0, -motion.x, s, c, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0],
+            ])  # fmt: skip
+            cov = by_poses @ joint @ by_poses.T
+        return to_first.inverse().then(Odometry(motion, 0.5 * (cov + cov.T))).then(to_second)
 
     def poses(self) -> Array:
         """(K, 3) all solved poses."""

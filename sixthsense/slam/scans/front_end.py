@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import KEEP_POSES
+from sixthsense.config.parts import KEEP_POSES, STATES_RELATIVE
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -25,11 +26,13 @@ from sixthsense.core.se2 import (
     relative,
     seen_covariance,
     seen_from,
+    transformed_covariance,
     triple,
     turned_covariance,
 )
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
+from sixthsense.slam.estimators.base import StatesRelative
 from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
@@ -150,6 +153,28 @@ class ScanFrontEnd:
         if self._has_final_pass:
             since_key = refined(self._store, self._graph.poses, self._scans, self._mount)
         return Finished(estimate, since_key, self._graph.robot_links(list(self._graph.links.values())))
+
+    def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
+        """(m, 3, 3) covariance of each second keyframe in the frame of the first, by the graph's variance factor.
+
+        With the private errors of their scans, which links do not have. `pairs` (m, 2) are of keyframes; InputError for
+        an estimator that cannot say it.
+        """
+        if not isinstance(self._estimator, StatesRelative):
+            raise InputError("estimator", f"found {self._config.estimator}", STATES_RELATIVE)
+        found = self._graph.variance_factor() * self._estimator.relative_covariances(pairs)
+        returns, sigma_m, (mx, my, turn) = self._store.returns, self._config.assumed.laser.range_m, self._mount
+        own = {
+            key: transformed_covariance(
+                private_covariance(returns, key, sigma_m), math.cos(turn), math.sin(turn), my, -mx
+            )
+            for key in np.unique(pairs).tolist()
+        }
+        first, second = (np.array(self._estimator.poses_at(keys.tolist())).reshape(-1, 3) for keys in pairs.T)
+        for cov, (a, b), (x, y, heading) in zip(found, pairs.tolist(), between(first, second).tolist(), strict=True):
+            cov += transformed_covariance(own[a], 1.0, 0.0, -y, x)
+            cov += turned_covariance(own[b], heading)
+        return found
 
     @property
     def newest(self) -> int:

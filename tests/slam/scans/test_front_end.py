@@ -9,10 +9,11 @@ from rooms import CORNERS, RING, ROOM, drive, scan_at, stored, ticks
 from sixthsense.config import LaserConfig, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.alignment import Views
 from sixthsense.slam.scans.graph import Closings
-from sixthsense.slam.scans.links import align_with
+from sixthsense.slam.scans.links import align_with, private_covariance
 from sixthsense.slam.scans.visibility import Agreement, judged
 from sixthsense.slam.slam import Slam
 
@@ -182,3 +183,29 @@ def test_a_loop_closure_that_contradicts_the_graph_is_undone_with_what_followed(
     assert not stands and closings.undone == 1
     assert [graph.linked_old(key) for key in range(graph.count)] == links_before
     assert np.allclose(slam.trajectory(), before, atol=1e-3)
+
+
+def test_a_keyframe_relative_to_another_has_the_graphs_uncertainty_and_the_private_errors_of_both_scans():
+    mount = Pose(0.21, -0.13, 0.8)
+    config = preset("log", laser={"mount": (mount.x, mount.y, mount.theta)})
+    with Slam(config, Pose(-2.0, -1.0, 0.3)) as slam:
+        for tick in ticks(drive(Pose(-2.0, -1.0, 0.3), [(2.5, -1.6), (2.9, 1.7)]), ROOM, mount=mount):
+            slam.take(tick)
+        front_end, (a, b) = slam._front_end, (2, len(slam.trajectory()) - 2)
+        poses = slam.trajectory()[[a, b]]
+        own = [private_covariance(front_end._store.returns, key, config.assumed.laser.range_m) for key in (a, b)]
+        factor = front_end._graph.variance_factor()
+        of_graph, (found,) = slam.estimator.relative_covariances(np.array([[a, b]])), slam.relative_covariances([a, b])
+
+    def relative(errors):
+        """Of the robot, where each laser errs in its own axes."""
+        lasers = compose(compose(poses, mount.array()), errors.reshape(2, 3))
+        return between(*compose(lasers, mount.inverse().array()))
+
+    steps = 1e-6 * np.eye(6)
+    by_lasers = np.array([(relative(h) - relative(-h)) / 2e-6 for h in steps]).T
+    private = by_lasers @ np.block([[own[0], np.zeros((3, 3))], [np.zeros((3, 3)), own[1]]]) @ by_lasers.T
+    np.testing.assert_allclose(found, factor * of_graph[0] + private, rtol=1e-6, atol=1e-12)
+    assert np.trace(private) > 0.02 * np.trace(found)
+    with Slam(preset("default", estimator="ekf"), Pose()) as filtered, pytest.raises(InputError, match="found ekf"):
+        filtered.relative_covariances([0, 0])

@@ -1,0 +1,124 @@
+"""Does the smoother know how well it knows? Relations of real logs against the covariances it states between keyframes.
+
+    SIXTHSENSE_DATA=FOLDER python benchmarks/relation_covariances.py          # about 3 minutes
+
+A relation (Kümmerle et al. 2009) is the motion between two scans as aligned and checked by hand. It has an error of
+its own, which nobody has stated: sigmas of position and heading, fitted by maximum likelihood to the logs in `FITTED`,
+where the covariances stated between keyframes are taken as they are. The other logs are told with these sigmas. A row
+has the share of the relations whose error lies within the ellipsoid of 50, 90 and 95 %, and the mean squared
+Mahalanobis distance per degree of freedom, by the length of the relation. The motion between a scan and its keyframe
+is taken as exact.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from harness import arguments, data_path, finish
+from scipy.optimize import minimize
+
+from sixthsense.config import preset
+from sixthsense.core.covariance import chi_square_quantile
+from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import between, compose
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.logs.stamps import matched
+from sixthsense.sources.replay_input import of_log, open_recorded
+
+FITTED, TOLD = ("intel", "fr079"), ("aces", "clinic")
+SHARES = (0.5, 0.9, 0.95)
+LENGTHS_M = (0.0, 1.0, 5.0, 20.0, np.inf)
+HEAD = ["log", "relations", "stated sigma, m", *(f"within {100 * share:.0f} %" for share in SHARES), "d² / 3"]
+
+
+class Errors(NamedTuple):
+    """Errors of the relations of a log."""
+
+    errors: Array
+    """(R, 3) x, y, heading in the frame of the first scan, m and rad"""
+    stated: Array
+    """(R, 3, 3) covariances that the smoother states"""
+    lengths_m: Array
+    """(R,) of the relations"""
+
+    def squared(self, sigmas: Array) -> Array:
+        """(R,) squared Mahalanobis distances, with the sigmas (2,) of the relations' own position and heading."""
+        covs = self.stated + np.diag(np.append(np.repeat(sigmas[:1], 2), sigmas[1]) ** 2)
+        return np.asarray(np.einsum("ri,rij,rj->r", self.errors, np.linalg.inv(covs), self.errors))
+
+    def log_likelihood(self, sigmas: Array) -> float:
+        """Of Gaussian errors, but for a constant."""
+        covs = self.stated + np.diag(np.append(np.repeat(sigmas[:1], 2), sigmas[1]) ** 2)
+        return -0.5 * float((self.squared(sigmas) + np.linalg.slogdet(covs)[1]).sum())
+
+
+def errors_of(name: str) -> Errors:
+    """Map a log with the defaults, and compare it with its relations."""
+    folder = data_path(name)
+    file = next(file for file in folder.iterdir() if file.suffix in (".bz2", ".bag"))
+    found = open_recorded(file, preset("log"), folder / f"{name}.relations")
+    log, relations = found.log, found.relations
+    assert relations is not None
+    stamps, keys, key = [], [], 0
+    log.rewind()
+    with Slam(of_log(preset("log"), log), log.start, draws_map=False) as slam:
+        for tick in log.ticks:
+            step = slam.take(tick)
+            key = key if step.keyframe is None else step.keyframe.index
+            if tick.scan is not None:
+                stamps.append(tick.log_stamp_s)
+                keys.append(key)
+        result = slam.finish()
+        rows = matched(stamps, relations.stamps)
+        covs = slam.relative_covariances(np.array(keys)[rows])
+    assert result.since_key is not None
+    poses = compose(result.trajectory[keys], result.since_key)
+    found_motions = between(poses[rows[:, 0]], poses[rows[:, 1]])
+    off = between(relations.poses, found_motions)
+    turned = compose(np.column_stack([np.zeros((len(off), 2)), relations.poses[:, 2]]), off)
+    return Errors(np.column_stack([turned[:, :2], off[:, 2]]), covs, np.hypot(*relations.poses[:, :2].T))
+
+
+def fitted(logs: Sequence[Errors]) -> Array:
+    """(2,) sigmas of position, m, and of heading, rad, of the relations themselves."""
+
+    def cost(log_sigmas: Array) -> float:
+        return -sum(one.log_likelihood(np.exp(log_sigmas)) for one in logs)
+
+    return np.asarray(np.exp(minimize(cost, np.log([0.02, 0.01]), method="Nelder-Mead").x))
+
+
+def rows_of(name: str, errors: Errors, sigmas: Array) -> list[list[str]]:
+    """All relations of a log, and those of each length."""
+    squared, found = errors.squared(sigmas), []
+    sigma_m = np.sqrt(0.5 * np.trace(errors.stated[:, :2, :2], axis1=1, axis2=2))
+    lengths = [(0.0, np.inf), *itertools.pairwise(LENGTHS_M)]
+    for low, high in lengths:
+        chosen = (errors.lengths_m >= low) & (errors.lengths_m < high)
+        if not chosen.any():
+            continue
+        span = f"{low:g} to {high:g} m" if np.isfinite(high) else f"over {low:g} m"
+        what = name if (low, high) == (0.0, np.inf) else span
+        within = [float((squared[chosen] <= chi_square_quantile(share, 3)).mean()) for share in SHARES]
+        found.append([
+            what, str(int(chosen.sum())), f"{np.median(sigma_m[chosen]):.3f}",
+            *(f"{100 * share:.1f}" for share in within), f"{squared[chosen].mean() / 3.0:.2f}",
+        ])  # fmt: skip
+    return found
+
+
+def main() -> None:
+    """Measure, fit and print."""
+    options = arguments(__doc__).parse_args()
+    logs = {name: errors_of(name) for name in (*FITTED, *TOLD)}
+    sigmas = fitted([logs[name] for name in FITTED])
+    print(f"relations themselves: {sigmas[0]:.4f} m, {np.degrees(sigmas[1]):.3f} deg")
+    rows = [row for name, one in logs.items() for row in rows_of(name, one, sigmas)]
+    finish(options, "relation_covariances", [HEAD, *rows])
+
+
+if __name__ == "__main__":
+    main()
