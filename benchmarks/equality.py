@@ -31,8 +31,13 @@ import numpy as np
 from equality_cases import Case, cases
 from harness import HERE, arguments, check_at_least, commit_of, unpack
 
+from sixthsense.core.landmarks import Kind
+
 TRAJECTORIES = ("estimate.tum", "smoothed.tum")
-LANDMARKS, METRICS = "landmarks.npz", "metrics.json"
+METRICS = "metrics.json"
+LANDMARKS = ("record.npz", "landmarks.npz")
+"""where the landmarks are, now and in earlier commits"""
+COMPARED = ("mean", "covariance", "ids", "walls")
 CLOCKS = ("wall_time_s", "realtime_factor", "scan_ms_", "stage_ms_mean.")  # what such keys begin with
 SEED = 3
 LONGEST_S = 3600.0  # of a case
@@ -91,7 +96,7 @@ def perform(case: Case, tree: Tree) -> None:
     for file in out.glob("*"):
         if file.is_dir():
             shutil.rmtree(file)
-        elif file.name not in (*TRAJECTORIES, LANDMARKS, METRICS):
+        elif file.name not in (*TRAJECTORIES, *LANDMARKS, METRICS):
             file.unlink()
     last = [line.strip() for line in said.splitlines() if line.strip()][-1:]
     record.write_text(json.dumps({"code": code, "said": "".join(last), **identity(case)}, indent=1) + "\n")
@@ -117,15 +122,15 @@ def _record(case: Case, tree: Tree) -> dict[str, Any]:
 def compare_folders(base: Path, new: Path, ignored: Collection[str] = ()) -> list[str]:
     """What differs between the results in two folders, a line each; none if they are equal."""
     found: list[str] = []
-    for name in (*TRAJECTORIES, LANDMARKS, METRICS):
+    for name in (*TRAJECTORIES, METRICS):
         lacking = [side for side, folder in (("base", base), ("new", new)) if not (folder / name).is_file()]
         if lacking:
             found.append(f"{name}: missing in {' and '.join(lacking)}")
         elif name == METRICS:
             found += compare_metrics(base / name, new / name, ignored)
         elif (base / name).read_bytes() != (new / name).read_bytes():
-            found += compare_arrays(base / name, new / name) if name == LANDMARKS else [compare_tum(base, new, name)]
-    return found
+            found.append(compare_tum(base, new, name))
+    return found + compare_landmarks(base, new)
 
 
 def compare_tum(base: Path, new: Path, name: str) -> str:
@@ -143,20 +148,34 @@ def compare_tum(base: Path, new: Path, name: str) -> str:
         return f"{said}, and cannot be read"
 
 
-def compare_arrays(base: Path, new: Path) -> list[str]:
-    """Arrays of two NPZ files that differ in name, type, shape or any bit."""
+def landmarks_of(folder: Path) -> dict[str, Any]:
+    """The final pose and landmarks of a run, with their joint covariance; none if they are in no file."""
+    for file in (folder / name for name in LANDMARKS):
+        if file.is_file():
+            with np.load(file) as arrays:
+                found = {name: arrays[name] for name in (*COMPARED, "kinds") if name in arrays}
+            if "mean" in found:
+                kinds = found.pop("kinds", None)
+                return found if kinds is None else found | {"walls": kinds == Kind.WALL}
+    return {}
+
+
+def compare_landmarks(base: Path, new: Path) -> list[str]:
+    """Arrays of the final estimate that differ in type, shape or any bit."""
     found = []
-    with np.load(base) as a, np.load(new) as b:
-        for key in sorted({*a, *b}):
-            if key not in a or key not in b:
-                found.append(f"{base.name}: {key}: only in {'base' if key in a else 'new'}")
-                continue
-            x, y = a[key], b[key]
-            if (x.dtype, x.shape) != (y.dtype, y.shape):
-                found.append(f"{base.name}: {key}: {x.dtype} {x.shape}, now {y.dtype} {y.shape}")
-            elif x.tobytes() != y.tobytes():
-                gap = np.abs(x.astype(np.float64) - y.astype(np.float64)).max()
-                found.append(f"{base.name}: {key}: values differ by {gap:.3g} at most")
+    a, b = landmarks_of(base), landmarks_of(new)
+    for key in COMPARED:
+        if key not in a or key not in b:
+            found.append(
+                f"{key}: missing in {' and '.join(s for s, side in (('base', a), ('new', b)) if key not in side)}"
+            )
+            continue
+        x, y = a[key], b[key]
+        if (x.dtype, x.shape) != (y.dtype, y.shape):
+            found.append(f"{key}: {x.dtype} {x.shape}, now {y.dtype} {y.shape}")
+        elif x.tobytes() != y.tobytes():
+            gap = np.abs(x.astype(np.float64) - y.astype(np.float64)).max()
+            found.append(f"{key}: values differ by {gap:.3g} at most")
     return found
 
 

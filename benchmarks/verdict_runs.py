@@ -28,7 +28,6 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.se2 import between
 from sixthsense.core.source import Command, Tick
-from sixthsense.record.witnesses import witnesses_of
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.replay_input import ReplayInput, of_log, open_recorded
@@ -141,7 +140,7 @@ def made(src: Source, front: str, damage: str, seed: int) -> dict[str, Any]:
     began = time.process_time()
     trace = replay(log, of_log(config, log)).trace
     spent = time.process_time() - began
-    return {**packed(witnesses_of(trace)), "truth": truth, "seconds": spent}
+    return {**packed(trace.witnesses()), "truth": truth, "seconds": spent}
 
 
 def packed(found: Witnesses) -> dict[str, Any]:

@@ -207,7 +207,7 @@ def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
 
 def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorStart | None:
     """The prior map and the start in it, whose fields are taken out of `given`."""
-    from sixthsense.record.load import prior_start
+    from sixthsense.record.store import prior_start
 
     pose, sigma, lost = given.pop("pose", None), given.pop("pose_sigma", None), given.pop("lost", False)
     return prior_start(prior_map, pose, sigma, lost)

@@ -160,7 +160,7 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
     if isinstance(source, MeasuredRun):
         return source.name, source.trace
     if isinstance(source, (str, Path)) and is_run_folder(Path(source)):
-        from sixthsense.record.load import load_record
+        from sixthsense.record.store import load_record
 
         return str(Path(source)), load_record(source)[0]
     return None

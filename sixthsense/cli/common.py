@@ -103,7 +103,7 @@ class WithPriorMap(Common):
 
     def prior_start(self) -> PriorStart | None:
         """The prior map and the start in it, if there is one; InputError for what is not allowed."""
-        from sixthsense.record.load import prior_start
+        from sixthsense.record.store import prior_start
 
         if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
             found = f"{self.config} is of a run with the prior map {note.get('name')}"

@@ -16,7 +16,7 @@ from sixthsense.evaluation.curves import curves, key_distances, key_poses, key_t
 from sixthsense.evaluation.groups import Sample
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import TEXTS, Metrics
-from sixthsense.record.load import RecordPart, load_record
+from sixthsense.record.store import RecordPart, load_record
 from sixthsense.record.trace import Trace
 from sixthsense.verdict.verdict import Verdict
 
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 MAX_RUNS = 12  # more panels in a figure are illegible
 
 _METRICS_OF_PART = {
-    RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged", "loop_closures", "wheel"),
-    RecordPart.LANDMARKS: ("landmarks",),
+    RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks", "walls_merged", "loop_closures", "wheel"),
 }
 """per part of the record, prefixes of the metrics that need it"""
 

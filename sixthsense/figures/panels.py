@@ -21,7 +21,7 @@ from sixthsense.figures.canvas import WIDTH_IN, Canvas
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height
-from sixthsense.record.load import RecordPart
+from sixthsense.record.store import RecordPart
 from sixthsense.record.trace import Trace
 
 _CARD_METRICS = (

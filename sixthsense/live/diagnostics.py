@@ -9,7 +9,6 @@ from sixthsense.live.topics import RELIABLE, Topic
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import DIAGNOSTICS, Messages
 from sixthsense.record.trace import Trace
-from sixthsense.record.witnesses import witnesses_of
 from sixthsense.verdict.judge import judge
 from sixthsense.verdict.verdict import Level, Verdict
 
@@ -44,7 +43,7 @@ class Diagnostics:
         self._next_ns = tick.stamp_ns + _PERIOD_NS
         count = len(trace.key_stamps_ns)
         if self._verdict is None or count != self._judged:
-            self._judged, self._verdict = count, judge(witnesses_of(trace, KEYFRAMES))
+            self._judged, self._verdict = count, judge(trace.witnesses(KEYFRAMES))
         trace.live.verdict = self._verdict
         self._pilot.pace = PACES[self._verdict.level]
         self._send(self._serialized(self._stamp(tick.stamp_ns), self._verdict))

@@ -18,7 +18,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Endpoint, Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
-from sixthsense.record.ending import tum_line
+from sixthsense.record.exports import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY

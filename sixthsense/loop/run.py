@@ -22,7 +22,6 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Live, Stopwatch, Trace
-from sixthsense.record.witnesses import witnesses_of
 from sixthsense.slam.prior_map import PriorStart, check_usable
 from sixthsense.slam.result import Step
 from sixthsense.slam.slam import Slam
@@ -140,7 +139,7 @@ class Recorder:
             trace.sensor = result.sensor.with_sigmas()
         if result.since_key is not None:
             trace.since_key = list(result.since_key)
-        trace.verdict = judge(witnesses_of(trace))
+        trace.verdict = judge(trace.witnesses())
 
 
 def run(

@@ -17,15 +17,15 @@ from typing import Any
 
 from sixthsense.config import Config, save_config
 from sixthsense.config.errors import InputError, PartError
-from sixthsense.record.ending import write_ending
-from sixthsense.record.stream import FILE
+from sixthsense.record.exports import write_exports
+from sixthsense.record.store import END_FILE, FILE, VERDICT_FILE, write_end, write_verdict
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import FolderLock, naming, whole
 
 _FILES = frozenset(
     {
-        "config.toml", FILE, "record.npz", "grid.npz", "metrics.json", "verdict.json", "audit.json", "places_left.csv",
-        "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", "landmarks.npz",
+        "config.toml", FILE, END_FILE, "metrics.json", VERDICT_FILE, "audit.json", "places_left.csv",
+        "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv",
         "graph.g2o", "graph.npz", "map.pgm", "map.yaml",
         "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html", "figures/animation.gif",
     }
@@ -140,7 +140,10 @@ class RunFolder:
         folder if it cannot be written.
         """
         with naming(self.partial):
-            write_ending(self.partial, trace, metrics)
+            write_exports(self.partial, trace, metrics)
+            if trace.verdict is not None:
+                write_verdict(self.partial / VERDICT_FILE, trace.verdict)
+            write_end(self.partial, trace)
 
     def finish(self) -> None:
         """Rename the folder to `OUT`, replacing an existing run, and release it.

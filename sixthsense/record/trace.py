@@ -29,6 +29,7 @@ from sixthsense.slam.result import Step
 from sixthsense.sources.logs.log import Relations
 from sixthsense.sources.scene import Scene
 from sixthsense.verdict.verdict import Verdict
+from sixthsense.verdict.witnesses import Witnesses
 
 STAGES = (
     "sense",
@@ -274,6 +275,32 @@ class Trace:
             for k, motion in zip(self.last_key, self.since_key, strict=True)
         ]
         return np.array(rows).reshape(-1, 3)
+
+    def witnesses(self, last: int | None = None) -> Witnesses:
+        """What the trace has of wheels, scans and estimate so far, or what it has of its `last` keyframes."""
+        trajectory = self.trajectory if self.live is None else self.live.estimator.trajectory()
+        count, last_key = len(trajectory), np.array(self.last_key, dtype=np.int64)
+        first = 0 if last is None else max(0, count - last)
+        keys = np.searchsorted(last_key, np.arange(first, count))
+        scan = int(keys[0]) if first else 0
+        is_scan = keys < len(last_key)
+        is_scan[is_scan] = last_key[keys[is_scan]] == np.arange(first, count)[is_scan]
+        has_final = self.live is None and min(self.last_key, default=-1) >= 0
+        poses = self.scan_poses() if has_final else np.array(self.estimates[scan:], dtype=np.float64).reshape(-1, 3)
+        matched = np.array([len(each.observations) for each in self.associations[first:]], dtype=np.int64)
+        scans = tuple(self.key_scans[first:])
+        return Witnesses(
+            np.array(self.stamps_ns[scan:], dtype=np.int64),
+            poses,
+            None if self.config.no_odometry else np.array(self.odometry[scan:], dtype=np.float64).reshape(-1, 3),
+            np.where(is_scan, keys - scan, -1),
+            np.asarray(trajectory[first:], dtype=np.float64).reshape(-1, 3),
+            np.array(self.key_measured[first:], dtype=np.bool_),
+            scans if any(each is not None for each in scans) else (),
+            None if self.links is None or first else self.links.ends,
+            matched if matched.any() else None,
+            self.loop_closures,
+        )
 
     def __repr__(self) -> str:
         of = f"{self.name or 'a run'}, {self.config.estimator}, {self.config.preset}, seed {self.config.seed}"

@@ -19,11 +19,9 @@ from sixthsense.config.files import absolute
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.figures.run import Run
-from sixthsense.record.ending import VERDICT_FILE
 from sixthsense.record.folder import RunFolder
+from sixthsense.record.store import VERDICT_FILE, read_verdict
 from sixthsense.record.trace import Trace
-from sixthsense.record.verdict_file import read_verdict
-from sixthsense.record.witnesses import witnesses_of
 from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.relocalization import Relocalizer
@@ -67,7 +65,7 @@ def ties(trace: Trace, begin_ns: int) -> Ties:
     links = 0 if trace.links is None else int(np.sum((trace.links.ends < first).sum(axis=1) == 1))
     seen = [_seen(trace, rows) for rows in (range(first), range(first, len(trace.trajectory)))]
     cells = np.intersect1d(seen[0], seen[1], assume_unique=True)
-    confirmed, through = between_runs(witnesses_of(trace), first)
+    confirmed, through = between_runs(trace.witnesses(), first)
     share = confirmed / (confirmed + through) if confirmed + through else math.nan
     return Ties(len(cells) * trace.config.grid.cell_m**2, links, share)
 

@@ -136,7 +136,7 @@ def _watched(
         hooks: list[OnTick] = [bar, *watch.hooks]
         if folder is not None:
             from sixthsense.record.bag import BagWriter
-            from sixthsense.record.stream import RecordWriter
+            from sixthsense.record.store import RecordWriter
 
             record = open_hooks.enter_context(RecordWriter(folder.partial))
             bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))

@@ -43,7 +43,7 @@ def test_a_run_begins_with_the_map_and_the_next_with_its_map(first, here, capsys
     third = ss.load("third")
     assert third.trace.prior_map["name"] == "second" and "pose" not in third.trace.prior_map
     assert ss.load(first).trace.prior_map is None
-    ids = [np.load(folder / "landmarks.npz")["ids"].tolist() for folder in (first, here / "third")]
+    ids = [np.load(folder / "record.npz")["ids"].tolist() for folder in (first, here / "third")]
     assert set(ids[0]) <= set(ids[1])
 
 
@@ -62,14 +62,14 @@ def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, he
     assert line.startswith("--prior-map: found first, of which the first scan shows ")
 
 
-@pytest.mark.parametrize("name", ["landmarks.npz", "record.npz", "grid.npz", "config.toml"])
+@pytest.mark.parametrize("name", ["record.npz", "config.toml"])
 def test_a_damaged_folder_ends_in_one_line_that_names_the_file(name, first, complaint, tmp_path):
     damaged = tmp_path / "damaged"
     shutil.copytree(first, damaged)
     content = (damaged / name).read_bytes()
     (damaged / name).write_bytes(content[: len(content) // 2] + b"\0")
     assert str(damaged / name) in complaint("run", "rectangle", *SHORT, "--prior-map", str(damaged))
-    if name in ("landmarks.npz", "record.npz"):
+    if name == "record.npz":
         (damaged / name).unlink()
         line = complaint("run", "rectangle", *SHORT, "--prior-map", str(damaged))
         assert line == f"{damaged}: found no {name}, allowed: the folder of a run that has ended"

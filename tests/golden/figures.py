@@ -85,11 +85,13 @@ def _yaml(file: Path) -> Figures:
 
 def _arrays(file: Path) -> Figures:
     with np.load(file) as arrays:
-        return {name: _summary(arrays[name]) for name in sorted(arrays)}
+        return {name: _summary(arrays[name]) for name in sorted(arrays) if not TIMES.match(name)}
 
 
 def _summary(array: Any) -> str:
     """Shape, first numbers and sum; how far along each axis its numbers lie tells it from its mirror image."""
+    if array.dtype.kind == "U":
+        return json.dumps(array.tolist())
     values = np.nan_to_num(np.asarray(array, dtype=np.float64))
     along = [float((np.abs(values) * place).sum()) for place in np.indices(values.shape, sparse=True)]
     return f"shape {list(values.shape)} first {values.ravel()[:6].tolist()} sum {float(values.sum())} along {along}"

@@ -17,7 +17,7 @@ from sixthsense.config import preset
 from sixthsense.figures.plot import save_map
 from sixthsense.figures.run import load
 from sixthsense.loop.run import replay, run
-from sixthsense.record import bag, ending
+from sixthsense.record import bag, exports
 from sixthsense.sources.logs.runfolder import read_run
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -124,7 +124,7 @@ def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, complaint
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(ending, "write_landmarks", full)
+    monkeypatch.setattr(exports, "write_landmarks", full)
     said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False)
     assert "x.partial: No space left on device" in said
     assert len(load(tmp_path / "x.partial").trace.estimates) > 20

@@ -10,7 +10,7 @@ from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.se2 import between
 from sixthsense.loop.run import replay, run
-from sixthsense.record.factors import FactorGraph, factor_graph, links_of, write_graph
+from sixthsense.record.exports import FactorGraph, factor_graph, links_of, write_graph
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs import open_log
 

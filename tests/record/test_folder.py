@@ -18,8 +18,8 @@ CORNERS = {"landmarks": "corners"}
 CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)
 RUN = ("run", "rectangle", "--task", "tour", "--max-time", "2")
 FILES = [
-    "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz", "grid.npz",
-    "landmarks.csv", "landmarks.npz", "map.pgm", "map.yaml", "metrics.json", "record.jsonl", "record.npz",
+    "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz",
+    "landmarks.csv", "map.pgm", "map.yaml", "metrics.json", "record.jsonl", "record.npz",
     "smoothed.tum", "truth.tum", "verdict.json",
 ]  # fmt: skip
 
@@ -60,7 +60,7 @@ def test_until_it_is_finished_the_folder_is_called_partial_and_knows_its_configu
 
 def test_a_failure_leaves_the_old_folder_whole(tmp_path: Path, trace: Trace) -> None:
     old = RunFolder(tmp_path / "run", Config(seed=1))
-    (old.partial / "record.jsonl").write_text('{"format":1,"radius_m":0.2,"scene":null}\n')
+    (old.partial / "record.jsonl").write_text('{"format":2,"radius_m":0.2,"scene":null}\n')
     old.finish()
     folder = RunFolder(tmp_path / "run", Config(seed=2), overwrite=True)
     broken = dataclasses.replace(trace, stamps_ns=trace.stamps_ns[:-1])
@@ -80,7 +80,7 @@ def test_what_is_no_run_is_not_taken_for_a_killed_one(tmp_path: Path) -> None:
 
 # --- a run replaces an earlier run, and nothing else
 
-BEGIN = '{"format":1,"radius_m":0.2,"scene":null}\n'
+BEGIN = '{"format":2,"radius_m":0.2,"scene":null}\n'
 WRITTEN = [
     *FILES, "truth.tum", "places_left.csv", "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html",
     "figures/animation.gif", "figures/map.svg", "figures/error.pdf", "figures/rpe.png", "figures/nees.png",

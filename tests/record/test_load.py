@@ -12,10 +12,8 @@ import sixthsense as ss
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.run import Run
-from sixthsense.record.stream import FILE, RecordWriter
+from sixthsense.record.store import END_FILE, FILE, RecordWriter
 from sixthsense.record.trace import Stopwatch
-
-ARRAYS = ("record.npz", "landmarks.npz", "grid.npz")
 
 
 @pytest.fixture(scope="module", params=["ekf-invariant", "isam2"])
@@ -52,7 +50,7 @@ def copied(folder: Path, out: Path, *without: str) -> Path:
 
 def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp_path):
     whole = ss.load(folder)
-    written = ("metrics.json", "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", *ARRAYS)
+    written = ("metrics.json", "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", END_FILE)
     killed = copied(folder, tmp_path / "cut.partial", *written)
     lines = (killed / FILE).read_bytes().splitlines(keepends=True)
     (killed / FILE).write_bytes(b"".join(lines[:30]) + lines[30][:20])
@@ -62,14 +60,14 @@ def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp
     assert 0 < count < len(whole.trace.stamps_ns)
     assert np.array_equal(run.trace.estimates, whole.trace.estimates[:count])
     files = [part.rpartition("(")[2].rstrip(")") for part in run.missing]
-    assert files == [FILE, "record.npz", "landmarks.npz", "grid.npz", "metrics.json"]
-    assert "last line of the record" in run.missing[0]
+    assert files == [END_FILE, END_FILE, "metrics.json"]
+    assert "the run's end" in run.missing[0]
     assert all(part in repr(run) for part in run.missing)
     assert {"nis_mean_per_dof", "ate_rmse_m", "pose_nees_world_mean", "scan_ms_p50", "coverage"} <= set(run.metrics)
     assert run.metrics.keys().isdisjoint({"wall_time_s", "landmarks", "landmarks_culled", "walls_merged"})
     for kind in ("map", "error", "nees", "nis", "stages", "coverage"):
         assert run.plot(kind).png()
-    with pytest.raises(InputError, match=r"exploration: found a folder without the grid map \(grid.npz\), allowed: "):
+    with pytest.raises(InputError, match=r"exploration: found a folder without the grid map \(record.npz\), allowed: "):
         run.plot("exploration")
 
 
@@ -91,7 +89,7 @@ def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_l
     assert scans() == len(trace.stamps_ns)
 
 
-@pytest.mark.parametrize("line", [b"", b"[]", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"plan": [[1]]}', b'{"end": 3}'])
+@pytest.mark.parametrize("line", [b"", b"[]", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"plan": [[1]]}', b'{"scan": "3"}'])
 def test_a_line_that_says_nothing_is_named(folder, tmp_path, line):
     damaged = copied(folder, tmp_path / "damaged")
     lines = (damaged / FILE).read_bytes().splitlines()
@@ -114,7 +112,7 @@ def test_damaged_metrics_are_named(folder, tmp_path, text, said):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("name", [FILE, *ARRAYS])
+@pytest.mark.parametrize("name", [FILE, END_FILE])
 def test_files_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):
     rng = np.random.default_rng(seed)
     damaged = copied(folder, tmp_path / "damaged", "bag", "figures")

@@ -10,7 +10,7 @@ from traces import CONFIG, trace_of, written
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
-from sixthsense.record.load import load_record, prior_start, read_prior_map
+from sixthsense.record.store import END_FILE, load_record, prior_start, read_prior_map
 from sixthsense.record.trace import Trace
 
 Arrays = dict[str, np.ndarray]
@@ -48,18 +48,18 @@ def test_the_map_of_a_folder_has_its_landmarks_their_covariance_records_and_cell
         assert np.array_equal(getattr(prior.evidence, name), getattr(expected, name)), name
 
 
-def test_the_digest_of_a_map_changes_with_each_of_its_files_and_with_nothing_else(folder: Path) -> None:
+def test_the_digest_of_a_map_changes_with_each_of_its_arrays_and_with_nothing_else(folder: Path) -> None:
     digests = [read_prior_map(folder).digest]
-    (folder / "metrics.json").write_text("{}")
+    change(folder / END_FILE, lambda arrays: arrays.update(trajectory=arrays["trajectory"] + 1))
     assert read_prior_map(folder).digest == digests[0]
-    for name, array in (("landmarks.npz", "mean"), ("record.npz", "sigmas_m"), ("grid.npz", "hits")):
-        change(folder / name, lambda arrays, array=array: arrays.update({array: arrays[array] + 1}))  # type: ignore[misc]
+    for array in ("mean", "sigmas_m", "hits"):
+        change(folder / END_FILE, lambda arrays, array=array: arrays.update({array: arrays[array] + 1}))  # type: ignore[misc]
         digests.append(read_prior_map(folder).digest)
     assert len(set(digests)) == 4
 
 
 def emptied(arrays: Arrays) -> None:
-    arrays.update(ids=arrays["ids"][:0], kinds=arrays["kinds"][:0], mean=arrays["mean"][:3])
+    arrays.update(ids=arrays["ids"][:0], walls=arrays["walls"][:0], mean=arrays["mean"][:3])
     arrays["covariance"] = arrays["covariance"][:3, :3]
 
 
@@ -68,39 +68,43 @@ def indefinite(arrays: Arrays) -> None:
 
 
 REFUSED = {
-    "landmarks without end": ("landmarks.npz", emptied, "a map without landmarks"),
-    "a landmark twice": ("landmarks.npz", lambda a: a["ids"].__setitem__(1, a["ids"][0]), "landmarks unlike"),
-    "an unknown landmark": ("landmarks.npz", lambda a: a["ids"].__setitem__(1, 99), "landmarks unlike"),
-    "no covariance": ("landmarks.npz", indefinite, "allowed: a covariance"),
-    "a number missing": ("landmarks.npz", lambda a: a.update(mean=a["mean"][:-1]), "mean of shape"),
-    "no finite number": ("grid.npz", lambda a: a["origin"].__setitem__(0, np.nan), "origin of shape"),
-    "no array": ("record.npz", lambda a: a.pop("extents"), "found no array 'extents'"),
-}
+    "no landmarks": (emptied, "a map without landmarks"),
+    "a landmark twice": (lambda a: a["ids"].__setitem__(1, a["ids"][0]), "a landmark twice"),
+    "an unknown landmark": (lambda a: a["ids"].__setitem__(1, 99), "landmarks that are in no record"),
+    "no covariance": (indefinite, "allowed: a covariance"),
+    "another number of rows": (lambda a: a.update(mean=a["mean"][:-2], ids=a["ids"][1:], walls=a["walls"][1:]),
+                               "covariance of shape"),
+    "a number missing": (lambda a: a.update(mean=a["mean"][:-1]), "mean of shape"),
+    "no finite number": (lambda a: a["origin"].__setitem__(0, np.nan), "origin of shape"),
+    "another type": (lambda a: a.update(hits=a["hits"].astype(float)), "hits of shape"),
+    "two sizes of a map": (lambda a: a.update(seen=a["seen"][1:]), "seen of shape"),
+    "no array": (lambda a: a.pop("extents"), "found extents"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_map_that_is_damaged_is_refused_and_its_file_named(name: str, folder: Path) -> None:
-    file, by, said = REFUSED[name]
+    by, said = REFUSED[name]
     read_prior_map(folder)
-    change(folder / file, by)
+    change(folder / END_FILE, by)
     with pytest.raises(InputError, match=said) as told:
         read_prior_map(folder)
-    assert name == "landmarks without end" or file in str(told.value)
+    assert name == "no landmarks" or END_FILE in str(told.value)
 
 
 def test_links_to_keyframes_that_are_not_there_are_refused(folder: Path) -> None:
-    change(folder / "record.npz", lambda arrays: arrays["link_ends"].__setitem__((0, 1), 4))
-    with pytest.raises(InputError, match=r"record\.npz: found link_ends 0 to 4 of 4 keyframes"):
+    change(folder / END_FILE, lambda arrays: arrays["link_ends"].__setitem__((0, 1), 4))
+    with pytest.raises(InputError, match=r"record\.npz: found link_ends to 4 of 4 keyframes"):
         load_record(folder)
 
 
 def test_landmarks_of_another_run_are_refused(folder: Path) -> None:
-    change(folder / "landmarks.npz", lambda arrays: arrays["ids"].__setitem__(1, 99))
-    with pytest.raises(InputError, match=r"landmarks\.npz: found landmarks that record\.npz does not know"):
+    change(folder / END_FILE, lambda arrays: arrays["ids"].__setitem__(1, 99))
+    with pytest.raises(InputError, match=r"record\.npz: found landmarks that are in no record of them"):
         load_record(folder)
 
 
-@pytest.mark.parametrize("file", ["config.toml", "landmarks.npz", "record.npz"])
+@pytest.mark.parametrize("file", ["config.toml", "record.npz"])
 def test_a_folder_without_a_part_of_the_map_is_refused(file: str, folder: Path) -> None:
     (folder / file).unlink()
     with pytest.raises(InputError, match=f"found no {file}"):
@@ -111,7 +115,7 @@ def test_a_folder_without_a_part_of_the_map_is_refused(file: str, folder: Path) 
 
 
 def test_a_folder_without_a_grid_has_landmarks_alone(folder: Path) -> None:
-    (folder / "grid.npz").unlink()
+    change(folder / END_FILE, lambda arrays: arrays.pop("hits"))
     assert len(read_prior_map(folder).evidence.cells) == 0
 
 

@@ -27,8 +27,9 @@ from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan, sweep_times
 from sixthsense.core.source import Closure, Tick
 from sixthsense.record.bag import BagWriter
-from sixthsense.record.load import load_record
+from sixthsense.record.columns import END, Column
 from sixthsense.record.messages import Messages
+from sixthsense.record.store import load_record
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
 from sixthsense.sources.logs.runfolder import read_run
@@ -98,18 +99,17 @@ def test_the_record_of_a_log_has_no_truth_and_keeps_the_last_place_of_a_killed_r
     trace.plans_below_margin = trace.plans_by_astar = trace.guard_stops = trace.loop_closures = None
     with written(trace) as folder:
         back, _ = load_record(folder)
-        lines = (folder / "record.jsonl").read_text().splitlines(keepends=True)
-        (folder / "record.jsonl").write_text("".join(lines[:-1]))
-        killed, missing = load_record(folder)
         assert not (folder / "truth.tum").exists()
-        for name in ("record.npz", "landmarks.npz", "grid.npz"):
-            (folder / name).unlink()
-        bare, _ = load_record(folder)
-    assert (plain(bare.final), plain(bare.joint_cov)) == (plain(trace.key_estimates[-1]), plain(bare.final.pose_cov))
-    assert np.array_equal(bare.trajectory, [estimate.pose.array() for estimate in trace.key_estimates])
+        (folder / "record.npz").unlink()
+        killed, missing = load_record(folder)
+    assert (plain(killed.final), plain(killed.joint_cov)) == (
+        plain(trace.key_estimates[-1]),
+        plain(killed.final.pose_cov),
+    )
+    assert np.array_equal(killed.trajectory, [estimate.pose.array() for estimate in trace.key_estimates])
     names = ("truths", "walkers", "touches", "scene", "plans_below_margin", "plans_by_astar", "guard_stops")
     assert [getattr(back, name) for name in names] == [getattr(trace, name) for name in names]
-    assert [part.name for part in missing] == ["END"] and killed.outcome == "interrupted"
+    assert [part.name for part in missing] == ["END", "GRID"] and killed.outcome == "interrupted"
     assert np.array_equal(killed.last_position, trace.odometry[-1][:2])
     assert killed.path_length_m == trace.path_length_m and killed.stopwatch.totals == trace.stopwatch.totals
 
@@ -118,26 +118,25 @@ def test_a_killed_run_ends_at_its_last_true_place() -> None:
     trace = trace_of(np.random.default_rng(4))
     with written(trace) as folder:
         lines = (folder / "record.jsonl").read_bytes().splitlines(keepends=True)
-        (folder / "record.jsonl").write_bytes(b"".join(lines[:-2]) + lines[-2][:-1])  # the last scan is cut
-        for name in ("record.npz", "landmarks.npz"):
-            (folder / name).unlink()
+        (folder / "record.jsonl").write_bytes(b"".join(lines[:-1]) + lines[-1][:-1])  # the last scan is cut
+        (folder / "record.npz").unlink()
         killed, _ = load_record(folder)
     assert len(killed.stamps_ns) == len(trace.stamps_ns) - 1
     assert np.array_equal(killed.last_position, trace.truths[-2][:2])
 
 
 DAMAGES: dict[str, Callable[[list[dict[str, Any]]], int]] = {
-    "another format": lambda lines: lines[0].update(format=2) or 0,
-    "a keyframe before it is there": lambda lines: lines[-2].update(last_key=4) or -2,
-    "a scan at the time of the last": lambda lines: lines[-2].update(scan=lines[-3]["scan"]) or -2,
+    "another format": lambda lines: lines[0].update(format=1) or 0,
+    "a keyframe before it is there": lambda lines: lines[-1].update(last_key=4) or -1,
+    "a scan at the time of the last": lambda lines: lines[-1].update(scan=lines[-2]["scan"]) or -1,
     "a keyframe at the time of the last": lambda lines: lines[2].update(keyframe=lines[1]["keyframe"]) or 2,
-    "a scan without truth": lambda lines: lines[-2].pop("truth") and -2,
-    "a number that is not finite": lambda lines: lines[-2].update(estimate=[0.5, math.inf, 0.5]) or -2,
-    "a line after the end": lambda lines: lines.append({"plan": [[1.5, 2.5]]}) or -1,
-    "a count below 0": lambda lines: lines[-1].update(culled=-1) or -1,
-    "a count missing": lambda lines: lines[-1].pop("guard_stops") and -1,
-    "an unknown stage": lambda lines: lines[1].update(ms={"rest": 1.0}) or 1,
-    "an unknown reason": lambda lines: lines[-1].update(left=[[1.0, 2.0, 3.0, "dark"]]) or -1,
+    "a scan without truth": lambda lines: lines[-1].pop("truths") and -1,
+    "a number that is not finite": lambda lines: lines[-1].update(estimates=[0.5, math.inf, 0.5]) or -1,
+    "a line of no table": lambda lines: lines.append({"end": 3}) or -1,
+    "a count below 0": lambda lines: lines[1].update(fused=-1) or 1,
+    "a count that is a fraction": lambda lines: lines[1].update(dof=1.5) or 1,
+    "a truth in one line alone": lambda lines: [line.pop("truths") for line in lines[-7:-1]] and -1,
+    "a stage too few": lambda lines: lines[1]["ms"].pop() and 1,
 }  # fmt: skip
 
 
@@ -150,6 +149,22 @@ def test_a_damaged_line_is_named(name: str) -> None:
         file.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
         with pytest.raises(InputError, match=rf"record.jsonl: line {number}: found .*, allowed: a line of a run"):
             load_record(folder)
+
+
+COLUMNS = [column for part in END for column in part.columns]
+
+
+@pytest.mark.parametrize("column", COLUMNS, ids=[column.name for column in COLUMNS])
+def test_an_array_of_another_shape_or_type_is_named(column: Column) -> None:
+    with written(trace_of(np.random.default_rng(6))) as folder:
+        file = folder / "record.npz"
+        with np.load(file) as content:
+            arrays = dict(content)
+        right = arrays[column.name]
+        for wrong in (right[None], right.astype("V")):
+            np.savez(file, **arrays | {column.name: wrong})
+            with pytest.raises(InputError, match=rf"record.npz: found {column.name} of shape "):
+                load_record(folder)
 
 
 # Files for other programs
@@ -186,7 +201,7 @@ def test_tables_of_landmarks_have_each_number_in_its_column(rng: np.random.Gener
     with written(trace) as folder:
         with (folder / "landmarks.csv").open() as file:
             rows = list(csv.DictReader(file))
-        with np.load(folder / "landmarks.npz") as joint:
+        with np.load(folder / "record.npz") as joint:
             arrays = dict(joint)
         places = list(csv.reader((folder / "places_left.csv").open()))
     for k, row in enumerate(rows):
@@ -202,7 +217,7 @@ def test_tables_of_landmarks_have_each_number_in_its_column(rng: np.random.Gener
         extent = [row[name] for name in ("from_x", "from_y", "to_x", "to_y")]
         assert extent == ([str(v) for v in record.extent.ravel().tolist()] if record.kind == Kind.WALL else [""] * 4)
     assert arrays["ids"].tolist() == trace.final.ids.tolist()
-    assert arrays["kinds"].tolist() == [trace.records[i].kind for i in trace.final.ids.tolist()]
+    assert arrays["walls"].tolist() == [trace.records[i].kind == Kind.WALL for i in trace.final.ids.tolist()]
     assert arrays["mean"].tolist() == [*trace.final.pose.array(), *trace.final.landmarks.ravel()]
     assert np.array_equal(arrays["covariance"], trace.joint_cov)
     gaps = ["" if p.gap_m is None else str(p.gap_m) for p in trace.left]

@@ -13,7 +13,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.load import read_prior_map
+from sixthsense.record.store import read_prior_map
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.scene import load_scene
 

@@ -14,7 +14,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
 from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.load import read_prior_map
+from sixthsense.record.store import read_prior_map
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.prior_map import PriorMap, PriorStart

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sixthsense.config import AssumedConfig, LaserConfig, merge
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.record.ending import write_map
+from sixthsense.record.exports import write_map
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.bag_file import read_poses, read_transforms

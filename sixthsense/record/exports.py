@@ -1,9 +1,13 @@
-"""The factor graph of a run for GTSAM and g2o: measurements between key poses and landmarks."""
+"""The files of a run for other programs: trajectories, landmarks, map, factor graph."""
 
 from __future__ import annotations
 
+import csv
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +22,94 @@ from sixthsense.slam.front_end import PoseLinks
 
 NO_LINKS = PoseLinks(np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 _MIN_SIGMA = 1e-6  # smallest sigma of a motion, m and rad: the information matrix must be finite
+
+
+def write_exports(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None:
+    """Write what a finished run leaves for others: all files of its folder but the record, the verdict and figures."""
+    write_tum(folder / "estimate.tum", trace.stamps_ns, np.array(trace.estimates))
+    write_tum(folder / "smoothed.tum", trace.key_stamps_ns, trace.trajectory)
+    if trace.truths:
+        write_tum(folder / "truth.tum", trace.stamps_ns, np.array(trace.truths))
+    write_landmarks(folder, trace)
+    write_graph(folder, factor_graph(trace), links_of(trace))
+    if trace.grid is not None:
+        write_map(folder, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
+    if trace.outcome.startswith("explored"):
+        write_places_left(folder / "places_left.csv", trace)
+    with whole(folder / "metrics.json") as file:
+        file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+
+
+def write_tum(file: Path, stamps_ns: list[int], poses: Array) -> None:
+    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, with all digits of the stamps, seconds."""
+    with whole(file) as unfinished, unfinished.open("w", encoding="utf-8") as out:
+        for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
+            out.write(tum_line(stamp, x, y, theta))
+
+
+def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:
+    """A pose as a line of a TUM trajectory."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    half = 0.5 * theta
+    return f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
+
+
+def write_places_left(file: Path, trace: Trace) -> None:
+    """Write the unseen places of an exploration, the largest first; in m and m^2."""
+    with whole(file) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["x", "y", "area_m2", "reason", "gap_m"])
+        writer.writerows([place.x, place.y, place.area_m2, place.reason, place.gap_m] for place in trace.left)
+
+
+LANDMARK_COLUMNS = (
+    "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
+)  # fmt: skip
+
+
+def write_landmarks(folder: Path, trace: Trace) -> None:
+    """Write `landmarks.csv`: means, covariances and, of walls, the extent of what was seen."""
+    estimate, records = trace.final, trace.records
+    with whole(folder / "landmarks.csv") as file, file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "observations", "from_x", "from_y", "to_x", "to_y"])
+        for k, i in enumerate(estimate.ids.tolist()):
+            block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
+            record = records[i]
+            values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
+            # A point has x and y. A wall has alpha and d, and the extent of its seen part.
+            columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
+            extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
+            writer.writerow([i, record.kind.name.lower(), *columns, record.observations, *extent])
+
+
+def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
+    """Write (H, W) occupancy (-1 unknown, 0 free, 100 occupied) as map_server's PGM and YAML.
+
+    The image is cropped to the known cells.
+    """
+    import yaml
+
+    rows, cols = (np.flatnonzero(occupancy.max(axis=axis, initial=-1) >= 0) for axis in (1, 0))
+    if len(rows) == 0:
+        return
+    r0, c0 = int(rows[0]), int(cols[0])
+    part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
+    with whole(folder / "map.pgm") as file, file.open("wb") as out:
+        out.write(b"P5\n%d %d\n255\n" % part.shape[::-1])
+        for row in part[::-1]:  # the first row of an image is the top of the map
+            out.write(np.select([row == 0, row == 100], [np.uint8(254), np.uint8(0)], np.uint8(205)).tobytes())
+    meta = {
+        "image": "map.pgm",
+        "mode": "trinary",
+        "resolution": cell_m,
+        "origin": [origin[0] + c0 * cell_m, origin[1] + r0 * cell_m, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    with whole(folder / "map.yaml") as file:
+        file.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
 
 
 @dataclass(frozen=True, slots=True)
