@@ -30,9 +30,9 @@ class View:
     def __init__(self, place: str | Path = "window", address: str = LOOPBACK) -> None:
         """Show the run at a `place`: "window", "browser" or an .rrd file, which is overwritten.
 
-        The server for browsers is bound to `address`, by default the loopback. Everybody who can reach the address can
-        watch, so choose another one only in a trusted network. Usage statistics are off. Raises InputError for an
-        unknown place, without Rerun, and for a window without a display.
+        Stream and page are served at `address`, by default the loopback. Everybody who can reach it can watch and send,
+        so choose another one only in a trusted network. Usage statistics are off. Raises InputError for an unknown
+        place, without Rerun, and for a window without a display.
         """
         check_view_target(place, address)
         self._viewer: Viewer | None = None
