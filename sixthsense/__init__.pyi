@@ -38,7 +38,7 @@ from .slam.features import Features as Features
 from .slam.features import extract as extract
 from .slam.slam import Slam as Slam
 from .slam.result import Step as Step
-from .record.load import read_prior_map as read_prior_map
+from .record.store import read_prior_map as read_prior_map
 from .slam.prior_map import PriorMap as PriorMap
 from .core.geometry import Pose as Pose
 from .slam.mapping.grid import Grid as Grid
