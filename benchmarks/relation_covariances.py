@@ -6,8 +6,8 @@ A relation (Kümmerle et al. 2009) is the motion between two scans as aligned an
 its own, which nobody has stated: sigmas of position and heading, fitted by maximum likelihood to the logs in `FITTED`,
 where the covariances stated between keyframes are taken as they are. The other logs are told with these sigmas. A row
 has the share of the relations whose error lies within the ellipsoid of 50, 90 and 95 %, and the mean squared
-Mahalanobis distance per degree of freedom, by the length of the relation. The motion between a scan and its keyframe
-is taken as exact.
+Mahalanobis distance per degree of freedom, by the way that the robot drove between the two scans. The motion between a
+scan and its keyframe is taken as exact.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sixthsense.sources.replay_input import of_log, open_recorded
 
 FITTED, TOLD = ("intel", "fr079"), ("aces", "clinic")
 SHARES = (0.5, 0.9, 0.95)
-LENGTHS_M = (0.0, 1.0, 5.0, 20.0, np.inf)
+WAYS_M = (0.0, 1.0, 5.0, 50.0, np.inf)
 HEAD = ["log", "relations", "stated sigma, m", *(f"within {100 * share:.0f} %" for share in SHARES), "d² / 3"]
 
 
@@ -41,8 +41,8 @@ class Errors(NamedTuple):
     """(R, 3) x, y, heading in the frame of the first scan, m and rad"""
     stated: Array
     """(R, 3, 3) covariances that the smoother states"""
-    lengths_m: Array
-    """(R,) of the relations"""
+    ways_m: Array
+    """(R,) that the robot drove between the two scans, as estimated"""
 
     def squared(self, sigmas: Array) -> Array:
         """(R,) squared Mahalanobis distances, with the sigmas (2,) of the relations' own position and heading."""
@@ -78,8 +78,9 @@ def errors_of(name: str) -> Errors:
     poses = compose(result.trajectory[keys], result.since_key)
     found_motions = between(poses[rows[:, 0]], poses[rows[:, 1]])
     off = between(relations.poses, found_motions)
+    driven_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     turned = compose(np.column_stack([np.zeros((len(off), 2)), relations.poses[:, 2]]), off)
-    return Errors(np.column_stack([turned[:, :2], off[:, 2]]), covs, np.hypot(*relations.poses[:, :2].T))
+    return Errors(np.column_stack([turned[:, :2], off[:, 2]]), covs, np.abs(np.diff(driven_m[rows]))[:, 0])
 
 
 def fitted(logs: Sequence[Errors]) -> Array:
@@ -92,12 +93,12 @@ def fitted(logs: Sequence[Errors]) -> Array:
 
 
 def rows_of(name: str, errors: Errors, sigmas: Array) -> list[list[str]]:
-    """All relations of a log, and those of each length."""
+    """All relations of a log, and those of ways of about the same length."""
     squared, found = errors.squared(sigmas), []
     sigma_m = np.sqrt(0.5 * np.trace(errors.stated[:, :2, :2], axis1=1, axis2=2))
-    lengths = [(0.0, np.inf), *itertools.pairwise(LENGTHS_M)]
-    for low, high in lengths:
-        chosen = (errors.lengths_m >= low) & (errors.lengths_m < high)
+    spans = [(0.0, np.inf), *itertools.pairwise(WAYS_M)]
+    for low, high in spans:
+        chosen = (errors.ways_m >= low) & (errors.ways_m < high)
         if not chosen.any():
             continue
         span = f"{low:g} to {high:g} m" if np.isfinite(high) else f"over {low:g} m"

@@ -87,6 +87,7 @@ def made_run() -> Trace:
         trajectory=truths[keys] + rng.normal(0.0, 0.02, (len(keys), 3)), culled=8, walls_merged=9, name="made",
         loop_closures=LoopClosureCounts(14, 19, 12), last_position=np.array([4.3, 3.9]),
         wheels=rng.uniform(0.01, 0.02, (2, 5)), sensor=rng.uniform(0.01, 0.02, (2, 3)),
+        since_covs=list(covariances(rng, SCANS, np.array([0.01, 0.03, 0.02]))),
     )  # fmt: skip
     trace.associations = [Association({}, 2 + k % 3, 1.3 * k + 0.4, 2 * (k % 4), k % 2) for k in range(len(keys))]
     trace.stopwatch = Stopwatch()

@@ -61,6 +61,7 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.estimates, trace.odometry, trace.truths, trace.since_key = (poses_of(rng, scans) for _ in range(4))
     trace.walkers = [rng.normal(size=(2, 3)) for _ in range(scans)]
     trace.touches = (3, 5)
+    trace.since_covs = [cov_of(rng) for _ in range(scans)]
     trace.last_key = [-1, *rng.integers(0, keys, scans - 1).tolist()]
     trace.key_odometry = [Odometry(pose_of(rng), cov_of(rng)) for _ in range(keys)]
     trace.key_predicted, trace.key_estimates = (

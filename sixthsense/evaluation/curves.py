@@ -1,4 +1,4 @@
-"""Errors of a run along its way: at each keyframe, with the time and the distance driven until then."""
+"""Errors of a run along its way: at each scan, with the time and the distance driven until then."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.se2 import composed_covariance, relative, triple
 from sixthsense.evaluation import metrics
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
@@ -19,34 +20,53 @@ Over = Literal["time", "distance"]
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Errors of the causal estimate at a run's keyframes."""
+    """Errors of the causal estimate at a run's scans, which are those that its metrics count."""
 
     time_s: Array
-    """(K,) since the first scan"""
+    """(S,) since the first scan"""
     distance_m: Array
-    """(K,) length of the true path since then"""
+    """(S,) length of the true path since then"""
     position_m: Array
-    """(K,) magnitude of the position's error"""
+    """(S,) magnitude of the position's error"""
     heading_rad: Array
-    """(K,) magnitude of the heading's error"""
+    """(S,) magnitude of the heading's error"""
     nees: Array
-    """(K,) of the pose, world coordinates; NaN before the covariance has full rank"""
+    """(S,) of the pose at keyframes, world coordinates; NaN at other scans, and before the covariance has full rank"""
 
     def over(self, axis: Over) -> Array:
-        """(K,) time or distance, ascending."""
+        """(S,) time or distance, ascending."""
         return self.time_s if axis == "time" else self.distance_m
 
 
 def curves(trace: Trace) -> Curves | None:
-    """The errors along a run; None without truth at its keyframes."""
-    if not trace.key_truths:
+    """The errors along a run; None without truth at its scans."""
+    if not trace.truths or not trace.key_truths:
         return None
-    poses, covs = key_poses(trace.key_estimates)
-    error = poses - np.array(trace.key_truths)
-    first = metrics.full_rank_from(covs)
-    nees = np.concatenate([np.full(first, np.nan), metrics.nees_world(error[first:], covs[first:])])
+    error = np.array(trace.estimates) - np.array(trace.truths)
+    nees = np.full(len(error), np.nan)
+    nees[np.searchsorted(trace.stamps_ns, trace.key_stamps_ns)] = key_nees(trace)
     position, heading = np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))
-    return Curves(key_times(trace), key_distances(trace), position, heading, nees)
+    return Curves(scan_places(trace, "time"), scan_places(trace, "distance"), position, heading, nees)
+
+
+def key_nees(trace: Trace) -> Array:
+    """(K,) NEES of the pose at keyframes, world coordinates; NaN before the covariance has full rank."""
+    poses, covs = key_poses(trace.key_estimates)
+    error, first = poses - np.array(trace.key_truths), metrics.full_rank_from(covs)
+    return np.concatenate([np.full(first, np.nan), metrics.nees_world(error[first:], covs[first:])])
+
+
+def scan_covariances(trace: Trace) -> Array:
+    """(S, 3, 3) covariance of the causal estimate at each scan, world frame: its keyframe's, and the motion since."""
+    found = np.zeros((len(trace.estimates), 3, 3))
+    if not trace.key_estimates:
+        return found
+    for cov, k, pose, since in zip(found, trace.last_key, trace.estimates, trace.since_covs, strict=True):
+        if k >= 0:
+            key = trace.key_estimates[k]
+            x, y, _ = relative(key.pose.triple(), triple(pose))
+            cov[:] = composed_covariance(key.pose_cov, since, key.pose.theta, x, y)
+    return found
 
 
 def key_poses(estimates: Sequence[Estimate]) -> tuple[Array, Array]:

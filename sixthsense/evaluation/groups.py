@@ -155,16 +155,17 @@ def flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 def resampled(runs: Sequence[Curves], quantity: str, over: Over) -> tuple[Array, Array]:
     """A quantity of several runs at the same places: (P,) times or distances, and (N, P) values.
 
-    Each value is that of the run's latest keyframe, and NaN before its first and after its last one. The places go as
-    far as more than half of the runs do, and a run has a value at each. `quantity` is a field of `Curves`.
+    Each value is that of the run's latest scan that has one, and NaN before its first and after its last scan. The
+    places go as far as more than half of the runs do, and a run has a value at each. `quantity` is a field of `Curves`.
     """
     axes = [one.over(over) for one in runs]
     reached = sorted(float(axis[-1]) for axis in axes)[(len(axes) - 1) // 2]
     places = np.linspace(0.0, reached, _POINTS)
     values = np.full((len(runs), _POINTS), np.nan)
     for row, axis, one in zip(values, axes, runs, strict=True):
-        latest = np.searchsorted(axis, places, side="right") - 1
+        known = np.flatnonzero(np.isfinite(getattr(one, quantity)))
+        latest = np.searchsorted(axis[known], places, side="right") - 1
         inside = (latest >= 0) & (places <= axis[-1])
-        row[inside] = getattr(one, quantity)[latest[inside]]
+        row[inside] = getattr(one, quantity)[known[latest[inside]]]
     known = np.isfinite(values).any(axis=0)
     return places[known], values[:, known]

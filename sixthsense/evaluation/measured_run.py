@@ -12,7 +12,7 @@ import numpy as np
 from sixthsense.config.errors import InputError, did_you_mean, pandas
 from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.curves import curves, key_distances, key_poses, key_times
+from sixthsense.evaluation.curves import curves, key_distances, key_nees, key_poses, key_times
 from sixthsense.evaluation.groups import Sample
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import TEXTS, Metrics
@@ -194,9 +194,8 @@ class Trajectory:
         columns |= _columns(np.sqrt(np.maximum(np.einsum("kii->ki", covs), 0.0)), "sigma_{}")
         if len(trace.trajectory) == len(poses):  # not of a killed run
             columns |= _columns(trace.trajectory, "{}_final")
-        errors = curves(trace)
-        if errors is not None:
-            columns |= _columns(np.array(trace.key_truths), "{}_true") | {"nees": errors.nees}
+        if trace.key_truths:
+            columns |= _columns(np.array(trace.key_truths), "{}_true") | {"nees": key_nees(trace)}
         return pandas().DataFrame(columns, index=pandas().Index(trace.key_stamps_ns, name="stamp_ns"))
 
     def __len__(self) -> int:

@@ -12,7 +12,15 @@ from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import Over, defined_poses, key_places, key_poses, key_times, scan_places
+from sixthsense.evaluation.curves import (
+    Over,
+    defined_poses,
+    key_places,
+    key_poses,
+    key_times,
+    scan_covariances,
+    scan_places,
+)
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
 from sixthsense.record.trace import STAGES, Trace
 
@@ -48,9 +56,10 @@ def draw_tube(ax: Any, t: Array, error: Array, bound: Array, band: str, label: s
 
 
 def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, over: Over = "time") -> None:
-    """Draw the error of x, y or heading (component 0, 1, 2) at every scan, and at keyframes with the ±3σ bounds there.
+    """Draw the error of x, y or heading (component 0, 1, 2) at every scan within its ±3σ bounds, and at keyframes.
 
-    The trace must have truth. Metrics and tables count every scan.
+    The trace must have truth. Metrics and tables count every scan. Bounds are at keyframes alone where the record has
+    no covariances of other scans.
     """
     shown = COMPONENTS[component]
     poses, covs = key_poses(trace.key_estimates)
@@ -60,13 +69,19 @@ def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, ove
         return np.asarray(shown.scale * (wrap_angle(off) if component == 2 else off))
 
     scans, keys = error(np.array(trace.estimates).reshape(-1, 3), trace.truths), error(poses, trace.key_truths)
-    ax.plot(scan_places(trace, over), scans, color=color, linewidth=0.6, alpha=0.45, label="scans")
+    places, of_key = scan_places(trace, over), key_places(trace, over)
+    at, band = of_key, "±3σ at keyframes"  # noqa: RUF001
+    if trace.since_covs:
+        at, covs, band = places, scan_covariances(trace), "±3σ"  # noqa: RUF001
     of_scans, of_keys = (_with_unit(_rms(one), shown.unit) for one in (scans, keys))
     place = {"transform": ax.transAxes, "ha": "right", "va": "bottom", "fontsize": "small"}
     ax.text(0.99, 0.03, f"RMS of scans {of_scans}, of keyframes {of_keys}", **place)
     bound = 3.0 * np.sqrt(np.maximum(covs[:, component, component], 0.0)) * shown.scale
-    style: dict[str, Any] = {"color": color, "linewidth": 1.2, "label": "keyframes"}
-    draw_tube(ax, key_places(trace, over), keys, bound, "±3σ at keyframes", **style)  # noqa: RUF001
+    ax.fill_between(at, -bound, bound, label=band, **BAND)
+    ax.axhline(0.0, color=TRUTH, linewidth=0.5)
+    ax.plot(places, scans, color=color, linewidth=0.7, label="scans")
+    ax.plot(of_key, keys, color=color, linewidth=0.0, marker=".", markersize=2.5, label="keyframes")
+    ax.margins(x=0.0)
     ax.set(xlabel=AXIS_LABELS[over], ylabel=f"error of {shown.name} [{shown.unit}]")
 
 

@@ -268,6 +268,7 @@ SCAN = (
          lambda pair: tuple(pair.tolist()), is_optional=True, is_row=False),
     one("last_key", type=int, least=-1),
     one("since_key", 3, unit=POSE),
+    one("since_covs", 3, 3, name="since_cov", unit=SQUARES, optional=True),
     one("path_length_m", unit="m", row=False),
 )  # fmt: skip
 """per scan: fields of the same names in `Trace`"""

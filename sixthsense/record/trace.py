@@ -147,6 +147,8 @@ class Trace:
     """per scan: index of the last keyframe, which may be the scan itself"""
     since_key: list[Array] = field(default_factory=list)
     """per scan: (3,) odometry since that keyframe"""
+    since_covs: list[Array] = field(default_factory=list)
+    """per scan: (3, 3) covariance of that motion when the scan was taken, axes of the keyframe"""
     key_stamps_ns: list[int] = field(default_factory=list)
     """per keyframe: record time"""
     key_odometry: list[Odometry] = field(default_factory=list)
@@ -247,6 +249,7 @@ class Trace:
             self.touches = tick.touches
         self.last_key.append(len(self.key_stamps_ns) - 1)
         self.since_key.append(step.since.motion.array())
+        self.since_covs.append(step.since.cov)
 
     def add_keyframe(self, tick: Tick, keyframe: Keyframe, scan: Scan | None, is_measured: bool) -> None:
         """Record a keyframe after its update; `scan` is its own, and `is_measured` whether wheels measured the way."""

@@ -11,9 +11,10 @@ from scipy.linalg import logm
 from scipy.stats import chi2
 
 from sixthsense.config import merge
+from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Observation
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import curves
+from sixthsense.evaluation.curves import curves, scan_covariances
 from sixthsense.evaluation.effective import effective_number, whitened_errors
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.measured_run import MeasuredRun
@@ -247,16 +248,38 @@ def key_path():
     return [sum(step for k, step in enumerate(steps[:scan]) if k != carried - 1) for scan in range(FIRST_KEY, SCANS, 3)]
 
 
-def test_curves_are_the_errors_at_keyframes_over_time_and_the_true_path():
+def test_curves_are_the_errors_at_scans_over_time_and_the_true_path():
     found = curves(TRACE)
-    errors = [e.pose.array() - t for e, t in zip(TRACE.key_estimates, TRACE.key_truths, strict=True)]
+    errors = [e - t for e, t in zip(TRACE.estimates, TRACE.truths, strict=True)]
     assert found.position_m == pytest.approx([math.hypot(e[0], e[1]) for e in errors])
     assert found.heading_rad == pytest.approx([abs(angle(e[2])) for e in errors])
-    assert found.time_s == pytest.approx([1e-9 * (stamp - TRACE.stamps_ns[0]) for stamp in TRACE.key_stamps_ns])
-    assert found.distance_m == pytest.approx(key_path())
-    assert np.isnan(found.nees[:UNDEFINED]).all()
-    assert found.nees[UNDEFINED:] == pytest.approx([squared(*one) for one in key_errors(TRACE.key_estimates)])
-    assert curves(dataclasses.replace(TRACE, key_truths=[])) is None
+    assert found.time_s == pytest.approx([1e-9 * (stamp - TRACE.stamps_ns[0]) for stamp in TRACE.stamps_ns])
+    at_keys = [TRACE.stamps_ns.index(stamp) for stamp in TRACE.key_stamps_ns]
+    assert found.distance_m[at_keys] == pytest.approx(key_path())
+    assert np.isnan(np.delete(found.nees, at_keys[UNDEFINED:])).all()
+    expected = [squared(*one) for one in key_errors(TRACE.key_estimates)]
+    assert found.nees[at_keys[UNDEFINED:]] == pytest.approx(expected)
+    assert found.position_m.shape == (len(TRACE.stamps_ns),)
+    assert math.sqrt(np.mean(found.position_m**2)) == pytest.approx(measure(TRACE)["ate_rmse_m"])
+    assert curves(dataclasses.replace(TRACE, truths=[])) is None
+
+
+def test_the_covariance_at_a_scan_is_that_at_its_keyframe_and_of_the_motion_since():
+    """By numerical derivatives of the composed pose."""
+    for k in np.flatnonzero(np.array(TRACE.last_key) >= 0).tolist():
+        key = TRACE.key_estimates[TRACE.last_key[k]]
+        since = (key.pose.inverse() @ Pose(*TRACE.estimates[k])).array()
+
+        def pose(errors, key=key, since=since):
+            return (Pose(*(key.pose.array() + errors[:3])) @ Pose(*(since + errors[3:]))).array()
+
+        steps = 1e-6 * np.eye(6)
+        by = (
+            np.array([[angle(off) if i == 2 else off for i, off in enumerate(pose(h) - pose(-h))] for h in steps]).T
+            / 2e-6
+        )
+        joint = np.block([[key.pose_cov, np.zeros((3, 3))], [np.zeros((3, 3)), TRACE.since_covs[k]]])
+        np.testing.assert_allclose(scan_covariances(TRACE)[k], by @ joint @ by.T, rtol=1e-5, atol=1e-8)
 
 
 def test_a_trajectory_has_a_row_per_keyframe():
@@ -271,8 +294,9 @@ def test_a_trajectory_has_a_row_per_keyframe():
     }  # fmt: skip
     for names, values in expected.items():
         np.testing.assert_allclose(frame[list(names)], values)
-    own = curves(TRACE)
-    np.testing.assert_array_equal(frame[["time_s", "distance_m", "nees"]].T, [own.time_s, own.distance_m, own.nees])
+    own, at_keys = curves(TRACE), [TRACE.stamps_ns.index(stamp) for stamp in TRACE.key_stamps_ns]
+    of_keys = [values[at_keys] for values in (own.time_s, own.distance_m, own.nees)]
+    np.testing.assert_allclose(frame[["time_s", "distance_m", "nees"]].T, of_keys, rtol=1e-12)
 
 
 def test_landmarks_have_what_their_kind_has():

@@ -15,7 +15,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.evaluation.calibrate import Calibration
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import curves
+from sixthsense.evaluation.curves import curves, scan_covariances
 from sixthsense.evaluation.groups import Group
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.measured_run import MeasuredRun
@@ -54,7 +54,10 @@ def test_errors_are_drawn_in_three_sigmas_in_the_unit_of_their_axis(ax, componen
     ]
     errors = [math.remainder(error, 2.0 * math.pi) for error in errors]
     np.testing.assert_allclose(line(ax, "keyframes").get_ydata(), scale * np.array(errors))
-    np.testing.assert_array_equal(line(ax, "keyframes").get_xdata(), curves(TRACE).over(over))
+    own = curves(TRACE)
+    at_keys = [TRACE.stamps_ns.index(stamp) for stamp in TRACE.key_stamps_ns]
+    np.testing.assert_allclose(line(ax, "keyframes").get_xdata(), own.over(over)[at_keys])
+    np.testing.assert_array_equal(line(ax, "scans").get_xdata(), own.over(over))
     every = [e[component] - t[component] for e, t in zip(TRACE.estimates, TRACE.truths, strict=True)]
     every = scale * np.array([math.remainder(error, 2.0 * math.pi) for error in every])
     np.testing.assert_allclose(line(ax, "scans").get_ydata(), every)
@@ -66,6 +69,10 @@ def test_errors_are_drawn_in_three_sigmas_in_the_unit_of_their_axis(ax, componen
     of_scans, of_keys = (f"{one:.3g}°" if component == 2 else f"{1e3 * one:.3g} mm" for one in rms)
     assert max(rms[:1]) < 0.1 or component == 2
     assert ax.texts[0].get_text() == f"RMS of scans {of_scans}, of keyframes {of_keys}"
+    bound = 3.0 * scale * np.sqrt(scan_covariances(TRACE)[:, component, component])
+    assert (edges(ax)[:, 1].min(), edges(ax)[:, 1].max()) == pytest.approx((-max(bound), max(bound)))
+    ax.clear()
+    figures.draw_error(ax, dataclasses.replace(TRACE, since_covs=[]), component, over=over)
     bound = [3.0 * scale * math.sqrt(estimate.pose_cov[component, component]) for estimate in TRACE.key_estimates]
     assert (edges(ax)[:, 1].min(), edges(ax)[:, 1].max()) == pytest.approx((-max(bound), max(bound)))
     assert f"[{'°' if component == 2 else 'm'}]" in ax.get_ylabel()
@@ -75,7 +82,8 @@ def test_the_nees_is_drawn_from_full_rank_on_in_its_band(ax):
     figures.draw_nees(ax, TRACE, label="made")
     values, found = line(ax, "made").get_ydata(), measure(TRACE)
     assert values.mean() == pytest.approx(found["pose_nees_world_mean"])
-    np.testing.assert_array_equal(line(ax, "made").get_xdata(), curves(TRACE).time_s[UNDEFINED:])
+    at_keys = [TRACE.stamps_ns.index(stamp) for stamp in TRACE.key_stamps_ns]
+    np.testing.assert_allclose(line(ax, "made").get_xdata(), curves(TRACE).time_s[at_keys][UNDEFINED:])
     low, high = chi2.ppf((0.025, 0.975), 3)
     share = 100.0 * np.mean((values > low) & (values < high))
     assert line(ax, "made").get_label() == f"made: mean {values.mean():.2f}, {share:.0f} % in band"
