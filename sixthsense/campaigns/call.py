@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import CancelledError, Future
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from sixthsense.campaigns.cluster import check_workers, connect, execute
-from sixthsense.campaigns.folder import Rows, check_folder, check_rows, read_folder, save_folder
+from sixthsense.campaigns.cluster import Cluster, check_workers, connect
+from sixthsense.campaigns.engine import Executor, Processes, carry_out
+from sixthsense.campaigns.folder import CampaignRows, check_folder, check_rows, read_folder, save_folder
 from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
-from sixthsense.campaigns.worker import FAILED
+from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed, run_row
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
 from sixthsense.config.parts import KINDS
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
+from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import LABELS, RunTable, Sample
 from sixthsense.evaluation.summary import summary
 from sixthsense.evaluation.tables import html_table, text_table
@@ -37,7 +41,7 @@ class Execution:
     workers: int | None = None
     """number of local processes; None: one per processor"""
     scheduler: str | None = None
-    """address of a Dask scheduler to use instead"""
+    """address of a Dask scheduler, whose workers make the runs instead"""
     retry_failed: bool = False
     """repeat the runs that raised"""
     progress: bool | None = None
@@ -53,31 +57,49 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
     campaign, for workers that will not do, and if the scheduler is lost; FolderInUseError; OSError that names a file.
     """
     with FolderLock(out):
-        saved, rows = check_folder(out, campaign), Rows(out)
-        known = rows.summaries()
-        check_rows(out, runs, known)
-        done = {row["config_hash"] for row in known if not (execution.retry_failed and row["outcome"] == FAILED)}
-        missing = {key: run for key, run in runs.items() if key not in done}
+        saved, rows = check_folder(out, campaign), CampaignRows(out)
+        known = rows.rows.read()
+        check_rows(out, runs, known.values())
+        done = {key for key, row in known.items() if not (execution.retry_failed and is_failed(row))}
+        missing = {key: run.config for key, run in runs.items() if key not in done}
         if not missing:
             save_folder(out, campaign, saved)
             execution.say(f"all {len(runs)} runs are already in {out}/")
             return
         if not is_compiled():
             execution.say(COMPILING)
-        with connect(execution.scheduler, execution.workers) as client:
-            workers = check_workers(client, campaign)
+        with _executor(execution) as executor:
+            dashboard = ""
+            if isinstance(executor, Cluster):
+                check_workers(executor.client, campaign)
+                dashboard = f"; dashboard {executor.client.dashboard_link}"
             save_folder(out, campaign, saved)
             existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
-            execution.say(f"{len(runs)} runs{existing}; {workers} workers; dashboard {client.dashboard_link}")
+            execution.say(f"{len(runs)} runs{existing}; {executor.workers} workers{dashboard}")
             with progress_bar(
                 execution.progress, total=len(missing), desc="campaign", unit=" runs", leave=False
             ) as bar:
-
-                def on_row(row: dict[str, Any]) -> None:
-                    rows.add(row)
+                for key, future in carry_out(executor, partial(run_row, version=__version__), missing):
+                    rows.add(_row(future, missing[key]))
                     bar.update()
 
-                execute(client, missing, on_row)
+
+def _executor(execution: Execution) -> AbstractContextManager[Executor]:
+    """What makes the runs."""
+    return Processes(execution.workers) if execution.scheduler is None else connect(execution.scheduler)
+
+
+def _row(future: Future[dict[str, Any]], config: Config) -> dict[str, Any]:
+    """The row of a finished run, with the outcome "error" if its worker has failed; InputError if the scheduler has."""
+    try:
+        return future.result()
+    except (OSError, CancelledError):
+        found = "found the connection lost, the finished rows are kept"
+        raise InputError("scheduler", found, "the same command again") from None
+    except OtherVersionError as error:
+        raise InputError("worker that joined late", str(error)) from None
+    except Exception as error:
+        return failed_row(config, error)
 
 
 def campaign(
@@ -106,7 +128,7 @@ def campaign(
     seeds
         Whole numbers, such as `range(20)`.
     out
-        Folder to write, new or of this campaign: campaign.toml, rows/ and curves/.
+        Folder to write, new or of this campaign: campaign.toml, rows.jsonl and curves/.
     workers
         Number of processes, by default one per processor.
     retry_failed
@@ -122,7 +144,7 @@ def campaign(
     ------
     InputError
         In one line, before anything is written: a scene, field, seed or value that is not allowed; the folder of
-        another campaign or of a run; a missing package of the extra `campaign`.
+        another campaign or of a run; pandas is missing.
 
     """
     given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
@@ -180,13 +202,13 @@ class Campaign(RunTable):
     """
 
     def __init__(self, folder: str | Path) -> None:
-        """Open a folder; raises InputError for one that is not a campaign's, and without pandas or pyarrow."""
+        """Open a folder; raises InputError for one that is not a campaign's, and without pandas."""
         self.folder = Path(folder)
-        """with campaign.toml, rows/ and curves/"""
+        """with campaign.toml, rows.jsonl and curves/"""
         self.name = self.folder.absolute().name
         self._fields = read_folder(self.folder)["fields"]
         import_extra("pandas")
-        self._rows = Rows(self.folder)
+        self._rows = CampaignRows(self.folder)
         self._settings: dict[tuple[str, ...], Config] = {}
 
     def frame(self) -> pd.DataFrame:
@@ -225,7 +247,7 @@ class Campaign(RunTable):
         return self._settings[axes]
 
     def __len__(self) -> int:
-        return len(self._rows.summaries())
+        return len(self._rows.rows.read())
 
     def __repr__(self) -> str:
         return "\n".join([f"<Campaign {self.name}: {len(self)} runs>", text_table(self.summary())])
@@ -240,6 +262,6 @@ def load_campaign(folder: Path | str) -> Campaign:
 
         ss.load_campaign("mc").frame().groupby("estimator")["ate_rmse_m"].median()
 
-    Raises InputError for a folder that is not a campaign's, and if pandas or pyarrow is missing.
+    Raises InputError for a folder that is not a campaign's, and if pandas is missing.
     """
     return Campaign(folder)

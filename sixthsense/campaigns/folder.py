@@ -1,24 +1,23 @@
-"""The folder of a campaign: `campaign.toml` with the axes and shared fields, and Parquet tables, a file per run.
+"""The folder of a campaign: `campaign.toml` with the axes and shared fields, and what its runs have come to.
 
-`rows/` has a row of metrics for each run, `curves/` a row for each of its keyframes; pandas and pyarrow read either as
-one table.
+`rows.jsonl` has a row of metrics for each run, a JSON object per line; `curves/` an NPZ file with the errors along it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import numbers
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sixthsense.campaigns.engine import Rows
 from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, import_extra, ranges, seed_range
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.config import as_table, merge, preset
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, reason_of
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import Curves
@@ -27,15 +26,13 @@ from sixthsense.record.writing import whole
 if TYPE_CHECKING:
     import pandas as pd
 
-FILE = "campaign.toml"
+FILE, ROWS = "campaign.toml", "rows.jsonl"
 TEXTS = ("config_hash", *AXES, "task", "host", "version", "outcome", "verdict", "error")
 """text columns of every row; `error` is filled only for a failed run, which has no metrics"""
-
+NUMBERS = ("seed", "run_time_s")
+"""number columns of every row"""
 ORDER = (*AXES, "seed")
 """columns by which a frame is sorted"""
-
-# Readers take the schema from the first file by name. This file has all columns and no row.
-_COLUMNS = "all-columns.parquet"
 
 
 def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | None:
@@ -64,7 +61,7 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
     return saved
 
 
-def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: list[dict[str, Any]]) -> None:
+def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: Iterable[Mapping[str, Any]]) -> None:
     """Raise InputError if the folder has a row of a planned run with another configuration.
 
     A preset or a default value that differs between two versions of the package is the usual cause.
@@ -161,91 +158,39 @@ def _flatten(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, An
             yield path + name, value
 
 
-class Rows:
-    """The rows of one campaign, written by the driver alone; one file per run, so that no run has two rows."""
+class CampaignRows:
+    """The rows of one campaign, written by one process alone, and the curves of its runs."""
 
     def __init__(self, folder: Path) -> None:
-        """Open `folder`/rows, which may be missing; raises InputError if it cannot be read."""
-        self.folder = folder / "rows"
+        """Open the rows of a `folder`, which may be missing."""
+        self.rows = Rows(folder / ROWS, "config_hash")
+        """by the hash of their configuration"""
         self._curves = folder / CURVES
-        self._arrow, self._parquet = import_extra("pyarrow"), import_extra("pyarrow.parquet")
-        text, integer, real = self._arrow.string(), self._arrow.int64(), self._arrow.float64()
-        columns = [*((name, text) for name in TEXTS), ("seed", integer), ("run_time_s", real)]
-        self._schema = self._arrow.schema(columns)
-        if (self.folder / _COLUMNS).is_file():
-            self._schema = self._read(lambda: self._parquet.read_schema(self.folder / _COLUMNS))
-
-    def summaries(self) -> list[dict[str, Any]]:
-        """The hash, outcome, package version, axes and seed of every row."""
-        if not (self.folder / _COLUMNS).is_file():
-            return []
-        columns = ["config_hash", "outcome", "version", *ORDER]
-        rows: list[dict[str, Any]] = self._read(lambda: self._table(columns)).to_pylist()
-        return rows
-
-    def frame(self) -> pd.DataFrame:
-        """All rows, sorted by axes and seed; NaN where a run lacks the metric."""
-        if not (self.folder / _COLUMNS).is_file():
-            frame = self._schema.empty_table().to_pandas()
-        else:
-            frame = self._read(lambda: self._table(None)).to_pandas()
-        return frame.sort_values(list(ORDER), ignore_index=True)
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Write the row of one run and its curves, replacing older ones; raises OSError that names the file."""
         if isinstance(found := row.get(CURVES), Curves):
-            self._write_curves(row["config_hash"], found)
-        row = {name: value for name, value in row.items() if name != CURVES}
-        values = {name: value for name, value in row.items() if value is not None}
-        kinds = {
-            name: self._arrow.float64() if isinstance(value, numbers.Real) else self._arrow.string()
-            for name, value in values.items()
-        }
-        new = [(name, kind) for name, kind in kinds.items() if name not in self._schema.names]
-        self.folder.mkdir(parents=True, exist_ok=True)
-        if new or not (self.folder / _COLUMNS).is_file():
-            for name, kind in new:
-                self._schema = self._schema.append(self._arrow.field(name, kind))
-            self._write(_COLUMNS, self._schema.empty_table())
-        cells = {field.name: [_cell(values.get(field.name), field.type)] for field in self._schema}
-        self._write(f"run-{values['config_hash']}.parquet", self._arrow.table(cells, schema=self._schema))
+            self._curves.mkdir(parents=True, exist_ok=True)
+            columns = {f.name: getattr(found, f.name).astype(np.float32) for f in dataclasses.fields(found)}
+            with whole(self._curves / f"run-{row['config_hash']}.npz") as file:
+                np.savez_compressed(file, **columns)
+        self.rows.add({name: value for name, value in row.items() if name != CURVES and value is not None})
+
+    def frame(self) -> pd.DataFrame:
+        """All rows, sorted by axes and seed; NaN where a run lacks the metric. InputError without pandas."""
+        rows = list(self.rows.read().values())
+        names = dict.fromkeys([*TEXTS, *NUMBERS, *(name for row in rows for name in row)])
+        frame = import_extra("pandas").DataFrame(rows, columns=list(names))
+        return frame.sort_values(list(ORDER), ignore_index=True)
 
     def curves(self) -> dict[str, Curves]:
-        """The errors along each run, by hash; none for a run that failed."""
-        if not any(self._curves.glob("run-*.parquet")):
-            return {}
-        table = self._read(lambda: self._table(None, self._curves)).to_pandas()
-        names = [field.name for field in dataclasses.fields(Curves)]
-        return {
-            str(key): Curves(*(group[name].to_numpy(dtype=np.float64) for name in names))
-            for key, group in table.groupby("config_hash", sort=False)
-        }
-
-    def _write_curves(self, key: str, curves: Curves) -> None:
-        self._curves.mkdir(parents=True, exist_ok=True)
-        columns = {field.name: getattr(curves, field.name).astype(np.float32) for field in dataclasses.fields(curves)}
-        table = self._arrow.table({"config_hash": [key] * len(curves.time_s), **columns})
-        with whole(self._curves / f"run-{key}.parquet") as file:
-            self._parquet.write_table(table, file)
-
-    def _write(self, name: str, table: Any) -> None:
-        with whole(self.folder / name) as file:
-            self._parquet.write_table(table, file)
-
-    def _table(self, columns: list[str] | None, folder: Path | None = None) -> Any:
-        dataset = import_extra("pyarrow.dataset").dataset(folder or self.folder, format="parquet")
-        return dataset.to_table(columns=columns)
-
-    def _read(self, read: Any) -> Any:
-        try:
-            return read()
-        except (OSError, ValueError, KeyError) as error:  # base classes of Arrow's errors
-            raise InputError(self.folder, f"cannot be read ({error})", "the rows of a campaign") from None
-
-
-def _cell(value: Any, kind: Any) -> Any:
-    """A value converted to the type of its column; None if the types do not match."""
-    if kind == "string":
-        return None if value is None else str(value)
-    number: Any = value if isinstance(value, numbers.Real) else None
-    return number if number is None or kind == "int64" else float(number)
+        """The errors along each run, by hash; none for a run that failed. InputError for a damaged file."""
+        found = {}
+        for file in sorted(self._curves.glob("run-*.npz")):
+            try:
+                with np.load(file) as columns:
+                    values = {f.name: columns[f.name].astype(np.float64) for f in dataclasses.fields(Curves)}
+            except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
+                raise InputError(file, f"cannot be read ({reason_of(error)})", "the curves of a run") from None
+            found[file.stem.removeprefix("run-")] = Curves(**values)
+        return found

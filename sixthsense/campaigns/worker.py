@@ -7,7 +7,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 from sixthsense.campaigns.plan import AXES, config_hash, scene_digest
@@ -82,6 +82,19 @@ def run_row(config: Config, version: str) -> dict[str, Any]:
         except Exception as error:
             row |= {"outcome": FAILED, "error": one_line(error)}
         return {**row, "run_time_s": time.perf_counter() - began}
+
+
+def failed_row(config: Config, error: BaseException) -> dict[str, Any]:
+    """The row of a run whose worker has failed."""
+    # The message of Dask's KilledWorker is several sentences long.
+    is_killed = type(error).__name__ == "KilledWorker"
+    reason = f"LostWorkerError: {error.args[2] + 1} workers died in this run" if is_killed else one_line(error)
+    return {**row_of(config), "version": __version__, "outcome": FAILED, "error": reason}
+
+
+def is_failed(row: Mapping[str, Any]) -> bool:
+    """Whether the run of a row has raised, or its worker has failed."""
+    return bool(row["outcome"] == FAILED)
 
 
 def one_line(error: BaseException) -> str:

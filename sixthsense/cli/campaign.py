@@ -52,11 +52,11 @@ class Campaign(Options):
     config: Path | None = None
     """TOML file, partial or complete, that overrides each preset."""
     out: Annotated[Path | None, arg("DIR")] = None
-    """Folder to write: campaign.toml, and rows/ and curves/, Parquet folders; ss.load_campaign(DIR) reads it."""
+    """Folder to write: campaign.toml, rows.jsonl and curves/; ss.load_campaign(DIR) reads it."""
     retry_failed: bool = False
     """Repeat the runs with the outcome "error"; without it they count as done."""
     workers: Annotated[int, Range(1, 1024)] | None = None
-    """Processes of the local cluster; by default one per processor."""
+    """Processes of this machine; by default one per processor."""
     scheduler: Annotated[str | None, arg("ADDRESS")] = None
     """Run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786."""
 
@@ -90,11 +90,11 @@ class Campaign(Options):
 
 
 def _finish(out: Path, requested: set[str], interrupted: bool) -> int:
-    from sixthsense.campaigns import Rows, load_campaign
+    from sixthsense.campaigns import CampaignRows, load_campaign
     from sixthsense.campaigns.worker import FAILED as FAILED_RUN
     from sixthsense.evaluation.tables import text_table
 
-    frame = Rows(out).frame()
+    frame = CampaignRows(out).frame()
     if len(frame):
         print(text_table(load_campaign(out).summary()))
     finished = frame[frame["config_hash"].isin(requested)]

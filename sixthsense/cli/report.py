@@ -15,6 +15,7 @@ from sixthsense.config.section import checked
 if TYPE_CHECKING:
     from sixthsense.figures.report import Form
     from sixthsense.figures.run import Run
+    from sixthsense.slam.prior_map import PriorStart
 
 _FILM = "animation.gif"
 
@@ -49,6 +50,9 @@ class Report(Options):
     )
     """Film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif beside the figures."""
 
+    prior_map: Annotated[Path | None, arg("DIR")] = None
+    """With --animate: folder of the prior map, for a run that began with one."""
+
     @classmethod
     def main(cls, args: list[str]) -> int:
         """Draw the figures of runs."""
@@ -60,7 +64,7 @@ class Report(Options):
         if out is not None and out.exists() and not options.overwrite:
             raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
         from sixthsense.evaluation.measured_run import check_folders
-        from sixthsense.figures.animation import check_film
+        from sixthsense.figures.animation import check_film, film_prior
         from sixthsense.figures.report import Form, compact, report
         from sixthsense.figures.run import load
 
@@ -73,6 +77,9 @@ class Report(Options):
                 raise InputError("animate", f"found {len(folders)} runs", "one run")
         check_folders(folders, "the folder of a run or of a campaign")
         runs = [load(folder) for folder in folders]
+        if "animate" not in given and options.prior_map is not None:
+            raise InputError("prior_map", "found without `animate`", "with it")
+        prior = film_prior(runs[0].trace, options.prior_map) if "animate" in given else None
         if out is None:
             out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
         files = report(runs, out, form)
@@ -83,7 +90,7 @@ class Report(Options):
         print(f"written to {out}/: {', '.join(file.name for file in files)}")
         if "animate" in given:
             file = out / _FILM if options.animate is None else Path(options.animate)
-            _animate(runs[0], folders[0], file)
+            _animate(runs[0], folders[0], file, prior)
             print(f"written: {file}")
         return DONE
 
@@ -106,7 +113,7 @@ def _report_campaign(options: Report, is_animated: bool, form: Form) -> int:
     return DONE
 
 
-def _animate(run: Run, folder: str, film: Path) -> None:
+def _animate(run: Run, folder: str, film: Path, prior: PriorStart | None) -> None:
     from tqdm import tqdm
 
     from sixthsense.figures.animation import MOST_FRAMES, animate
@@ -115,4 +122,4 @@ def _animate(run: Run, folder: str, film: Path) -> None:
     prepare(announce)
     frames = min(MOST_FRAMES, len(run.trace.stamps_ns))
     with tqdm(total=frames, desc=film.name, disable=None, leave=False) as bar:
-        animate(folder, run.trace, film, run.title, frames, bar.update)
+        animate(folder, run.trace, film, run.title, frames, bar.update, prior)

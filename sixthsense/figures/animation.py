@@ -38,8 +38,10 @@ from sixthsense.figures.plot import (
 )
 from sixthsense.loop.run import replay
 from sixthsense.navigation.frontier import frontier_points
+from sixthsense.record.store import prior_start
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
+from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.runfolder import read_run
 
 SUFFIXES = (".mp4", ".webp", ".gif")
@@ -80,6 +82,27 @@ def check_film(file: Path | str) -> None:
         raise InputError("animate", f"{file} needs the program ffmpeg, which is not installed", "FILE.webp or FILE.gif")
 
 
+def film_prior(finished: Trace, prior_map: Path | str | None) -> PriorStart | None:
+    """The prior map that a run began with, of which its record has the name alone; None if it began without.
+
+    Raises InputError if the run began with one and `prior_map` is not its folder, and what `prior_start` raises.
+    """
+    note = finished.prior_map
+    if note is None:
+        if prior_map is not None:
+            raise InputError("prior_map", "found with a run that began without a map", "without it")
+        return None
+    if prior_map is None:
+        raise InputError("animate", f"found a run that began with the prior map {note['name']}", "with `prior_map`")
+    is_lost = note.get("lost") is True
+    start = prior_start(prior_map, note.get("pose"), None if is_lost else note.get("pose_sigma"), is_lost)
+    if start is not None and start.map.digest != note["digest"]:
+        raise InputError(
+            "prior_map", f"found {prior_map}, another map than that of the run", f"{note['name']} as it was"
+        )
+    return start
+
+
 def animate(
     folder: Path | str,
     finished: Trace,
@@ -87,12 +110,13 @@ def animate(
     title: str = "",
     frames: int = MOST_FRAMES,
     on_frame: Callable[[], object] = lambda: None,
+    prior: PriorStart | None = None,
 ) -> None:
     """Write a film of the run in `folder` with up to `frames` frames, evenly spread over the run's scans.
 
     `finished` is the trace of that run: it gives the limits of the axes and the number of scans. The run is replayed,
-    so each frame shows the map, the landmarks and their 95 % ellipses of its own moment. `on_frame` is called after
-    every frame. Raises InputError for a suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg
+    so each frame shows the map, the landmarks and their 95 % ellipses of its own moment; one that began with a prior
+    map begins with `prior`, that of `film_prior`. `on_frame` is called after every frame. Raises InputError for a suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg
     fails to write.
     """
     check_film(file)
@@ -112,7 +136,7 @@ def animate(
             writer.grab_frame()
             on_frame()
 
-        replay(log, config, on_tick=show)
+        replay(log, config, on_tick=show, prior=prior)
         for _ in range(_HELD - 1):
             writer.grab_frame()
 

@@ -265,6 +265,10 @@ def _reproduction(name: str, run: MeasuredRun) -> str:
         command += with_map
         again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"
         parts.append(f"<pre>{escaped(command)}</pre>")
+        if with_map:
+            note = notes["prior_map"]
+            said = f"{note['name']} is the folder of the prior map, of which its name and digest alone are recorded"
+            parts.append(f"<p>Here {escaped(said)} ({escaped(str(note.get('digest', ''))[:12])}).</p>")
         parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{escaped(again)}</pre>")
     versions = notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
     words = ", ".join(f"{name} {version}" for name, version in versions.items())

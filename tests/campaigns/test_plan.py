@@ -16,7 +16,7 @@ from settings import changed, flat, nested
 
 import sixthsense as ss
 from sixthsense import campaigns, cli
-from sixthsense.campaigns import CampaignPlan, Rows, report, worker
+from sixthsense.campaigns import CampaignPlan, CampaignRows, report, worker
 from sixthsense.campaigns.cluster import check_workers
 from sixthsense.campaigns.folder import read_folder, save_folder
 from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, scene_digest, seed_range
@@ -122,7 +122,7 @@ def done() -> CampaignPlan:
             **{f"rpe_{part}_{m}m": error * m for part in ("trans_m", "rot_deg") for m in (1, 2)},
         }
         curves = Curves(np.arange(4.0), 0.5 * np.arange(4.0), np.full(4, error), np.full(4, 0.1), np.full(4, 3.0))
-        Rows(Path("mc")).add({**row, worker.CURVES: curves})
+        CampaignRows(Path("mc")).add({**row, worker.CURVES: curves})
     return planned
 
 
@@ -183,8 +183,11 @@ def test_a_campaign_that_contradicts_itself_or_its_folder_is_refused(name: str, 
 
 def test_a_row_of_a_run_with_another_configuration_is_refused(done: CampaignPlan) -> None:
     key, run = next(iter(plan(done).items()))
-    (Path("mc/rows") / f"run-{key}.parquet").unlink()
-    Rows(Path("mc")).add({**worker.row_of(run.config), "config_hash": "f" * 16, "outcome": "x", "version": "0.0"})
+    lines = Path("mc/rows.jsonl").read_text().splitlines(keepends=True)
+    Path("mc/rows.jsonl").write_text("".join(line for line in lines if key not in line))
+    CampaignRows(Path("mc")).add(
+        {**worker.row_of(run.config), "config_hash": "f" * 16, "outcome": "x", "version": "0.0"}
+    )
     with pytest.raises(InputError, match=r"with another configuration, from version 0\.0"):
         call()
 
@@ -210,16 +213,16 @@ def test_the_folder_keeps_the_axes_and_scenes_of_earlier_commands(done: Campaign
 
 
 def test_rows_come_back_with_their_numbers_and_texts_and_a_second_one_replaces_the_first() -> None:
-    rows = Rows(Path("c"))
+    rows = CampaignRows(Path("c"))
     fixed = {"scene": "a", "preset": "p", "planner": "q", "outcome": "explored", "version": "1"}
     for seed, key in ((2, "b" * 16), (1, "a" * 16), (2, "b" * 16)):
         more = {"ate_rmse_m": 0.25 * seed, "plans": 3 * seed} if seed == 2 else {"guard_stops": 7}
         rows.add({**fixed, "config_hash": key, "seed": seed, "estimator": "ekf", **more, "nothing": None})
-    frame = Rows(Path("c")).frame()
+    frame = CampaignRows(Path("c")).frame()
     assert frame["seed"].tolist() == [1, 2] and frame["config_hash"].tolist() == ["a" * 16, "b" * 16]
     assert frame["ate_rmse_m"][1] == 0.5 and frame["plans"][1] == 6.0 and frame["guard_stops"][0] == 7.0
     assert frame[["ate_rmse_m", "plans"]].iloc[0].isna().all() and np.isnan(frame["guard_stops"][1])
-    assert [row["seed"] for row in sorted(Rows(Path("c")).summaries(), key=lambda row: row["seed"])] == [1, 2]
+    assert [row["seed"] for row in CampaignRows(Path("c")).rows.read().values()] == [2, 1]
 
 
 def test_a_campaign_is_compared_in_groups_over_its_seeds(done: CampaignPlan, explored: ss.Run) -> None:
@@ -319,7 +322,7 @@ def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], 
     versions = {"scheduler": python, "workers": {"tcp://a": python, "tcp://b": other}}
     client = SimpleNamespace(get_versions=lambda: versions, run=run)
     if not said:
-        assert check_workers(client, one) == 2
+        check_workers(client, one)
         return
     with pytest.raises(InputError, match=said):
         check_workers(client, one)

@@ -9,6 +9,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
+from sixthsense.figures import animation
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
@@ -54,6 +55,28 @@ def test_python_takes_the_same_options(first):
     assert again.trace.prior_map["pose_sigma"] == [0.1, 0.1, 0.05]
     with pytest.raises(ss.InputError, match=r"^pose: found without `prior_map`, allowed: with it$"):
         ss.run("rectangle", pose=(0.0, 0.0, 0.0))
+
+
+def test_a_film_of_a_run_with_a_map_begins_with_it(first, here, complaint, monkeypatch):
+    pose = ("--pose", "-1.38", "-0.41", "0.01")
+    assert cli.main(["run", "rectangle", *SHORT, "--prior-map", str(first), *pose, "--out", "second"]) == cli.DONE
+    line = complaint("report", "second", "--animate", "--out", "film")
+    assert line == "--animate: found a run that began with the prior map first, allowed: with --prior-map"
+    line = complaint("report", "second", "--animate", "--out", "film", "--prior-map", "second")
+    assert line == "--prior-map: found second, another map than that of the run, allowed: first as it was"
+    line = complaint("report", str(first), "--animate", "--out", "film", "--prior-map", "second")
+    assert line == "--prior-map: found with a run that began without a map, allowed: without it"
+    finished, seen = ss.load("second").trace, []
+    draw = animation._MapDrawing.show
+
+    def show(drawing, tick, trace, *paths):
+        seen.append((len(trace.live.records), trace.estimates[0]))
+        draw(drawing, tick, trace, *paths)
+
+    monkeypatch.setattr(animation._MapDrawing, "show", show)
+    animation.animate("second", finished, "film.gif", frames=2, prior=animation.film_prior(finished, first))
+    assert seen[0][0] >= len(ss.load(first).trace.final.ids)
+    assert np.array_equal(seen[0][1], finished.estimates[0])
 
 
 def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, complaint):

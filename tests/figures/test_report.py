@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import html
 import json
 import re
 from html.parser import HTMLParser
@@ -83,6 +84,27 @@ def noted(folder: Path, notes: str) -> Path:
     folder.mkdir()
     (folder / "config.toml").write_text(notes, encoding="utf-8")
     return folder
+
+
+REPEATED = {
+    "a merged run": ('[replayed]\nlog = "a b"\nmerged_with = "c"\nrelations = "r"\n',
+                     "sixthsense merge 'a b' c --config {config} --relations r"),
+    "a live run": ('[replayed]\ndomain = "3"\n', "sixthsense live --domain 3 --config {config}"),
+    "a run in a map at its origin": (
+        '[prior_map]\nname = "first"\ndigest = "0a1b"\npose = [0.0, 0.0, 0.0]\npose_sigma = [0.0, 0.0, 0.0]\n',
+        "sixthsense run --config {config} --prior-map first --pose 0.0 0.0 0.0"),
+    "one that was lost in it": (
+        '[prior_map]\nname = "first"\ndigest = "0a1b"\nlost = true\n',
+        "sixthsense run --config {config} --prior-map first --lost"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_the_page_has_the_command_that_repeats_a_run(name: str, tmp_path: Path) -> None:
+    notes, command = REPEATED[name]
+    folder = noted(tmp_path / "one", notes)
+    found = [html.unescape(block) for block in re.findall("<pre>(.*?)</pre>", page([shown(folder=folder)], {}))]
+    assert command.format(config=folder / "config.toml") in found
 
 
 def without_truth(run: Run) -> Run:
