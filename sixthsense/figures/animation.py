@@ -116,8 +116,8 @@ def animate(
 
     `finished` is the trace of that run: it gives the limits of the axes and the number of scans. The run is replayed,
     so each frame shows the map, the landmarks and their 95 % ellipses of its own moment; one that began with a prior
-    map begins with `prior`, that of `film_prior`. `on_frame` is called after every frame. Raises InputError for a suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg
-    fails to write.
+    map begins with `prior`, that of `film_prior`. `on_frame` is called after every frame. Raises InputError for a
+    suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg fails to write.
     """
     check_film(file)
     file = Path(file)
