@@ -1,6 +1,6 @@
 """Commands whose runs are kept, so that they resume, and tables of what is asked, what was measured, and if it is met.
 
-The figures of each run are kept in a folder named after the code's commit. A part begins no run after so many minutes;
+The figures of each run are a row of a file named after the code's commit. A part begins no run after so many minutes;
 the same command goes on.
 """
 
@@ -10,7 +10,6 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,12 +20,13 @@ from harness import (
     check_at_least,
     code_commit,
     finish,
-    kept,
     mean_and_error,
-    pooled,
     print_table,
+    single_threaded,
 )
+from tqdm import tqdm
 
+from sixthsense.campaigns.engine import Processes, Rows, carry_out
 from sixthsense.running.warmup import warm_up, warm_up_scans
 
 PART_MIN = 8.0
@@ -46,27 +46,6 @@ class Case(NamedTuple):
     def key(self) -> str:
         """Its name in the JSON."""
         return ".".join((self.kind, *self.setting, str(self.seed)))
-
-
-def measured(folder: Path, until: float, figures_of: Callable[[Case], Figures], case: Case) -> Figures | None:
-    """The figures of a run, from its file in `folder` if it has been made; of one that raises, what it raised.
-
-    None after the time `until`, s.
-    """
-    file = folder / f"{case.key.replace(' ', '_')}.json"
-    if not file.exists() and time.time() > until:
-        return None
-
-    def make() -> Figures:
-        found = figures_of(case)
-        if found.get("outcome") == "interrupted":
-            raise KeyboardInterrupt  # what a run cut short has measured is not kept
-        return found
-
-    try:
-        return kept(file, make)
-    except Exception as error:  # one case that fails must not cost the table
-        return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
 
 
 class Line(NamedTuple):
@@ -115,7 +94,8 @@ def parsed(parser: argparse.ArgumentParser, minutes: float = PART_MIN, **bounds:
 
 
 def warm() -> None:
-    """Compile the hot loops, once in each process."""
+    """Compile the hot loops, once in each process, and use one thread for BLAS."""
+    single_threaded()
     warm_up()
     warm_up_scans()
 
@@ -127,19 +107,30 @@ def measure(
     commit: str,
     alone: Callable[[Case], bool] = lambda case: False,
 ) -> dict[str, Figures]:
-    """The figures by key of the cases begun within `options.minutes`, by `options.jobs` processes.
+    """The figures by key of the cases that are known, or begun within `options.minutes`, by `options.jobs` processes.
 
-    Those that are to run `alone` come first, one after the other.
+    Those that are to run `alone` come first, one after the other. One that raises has what it raised, and is not kept.
     """
-    function = partial(measured, CACHE / commit, time.time() + 60.0 * options.minutes, figures_of)
-    made: dict[str, Figures] = {}
+    rows, until = Rows(CACHE / f"{commit}.jsonl"), time.time() + 60.0 * options.minutes
+    made, wanted = rows.read(), {case.key for case in chosen}
     for is_alone in (True, False):
-        due = [case for case in chosen if alone(case) == is_alone]
-        if is_alone and due:
+        due = {case.key: case for case in chosen if alone(case) == is_alone and case.key not in made}
+        if not due:
+            continue
+        if is_alone:
             warm()  # into the cache that commands read
-        found = pooled(function, due, 1 if is_alone else options.jobs, warm) if due else iter(())
-        made |= {case.key: {"commit": commit, **own} for case, own in zip(due, found, strict=True) if own is not None}
-    return made
+        with (
+            Processes(1 if is_alone else options.jobs, warm) as pool,
+            tqdm(total=len(due), unit=" runs", disable=None, leave=False) as bar,
+        ):
+            for key, future in carry_out(pool, figures_of, due, until):
+                if (error := future.exception()) is not None:
+                    made[key] = {"failed": f"{type(error).__name__}: {error}".splitlines()[0], "commit": commit}
+                else:
+                    made[key] = {"key": key, "commit": commit, **future.result()}
+                    rows.add(made[key])
+                bar.update()
+    return {key: {k: v for k, v in row.items() if k != "key"} for key, row in made.items() if key in wanted}
 
 
 def selected(every: Sequence[Case], prefixes: Sequence[str]) -> list[Case]:

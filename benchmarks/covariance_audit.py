@@ -137,7 +137,7 @@ def main() -> None:
     lines = [HEAD]
     for case in CASES:
         rho, dof, stated = case
-        found = case_figures(case, list(pooled(partial(one_audit, case=case), seeds, options.jobs)))
+        found = case_figures(case, pooled(partial(one_audit, case=case), seeds, options.jobs))
         lines.append(
             [
                 f"AR(1) {rho:g}" if rho else "white", f"SE({2 if dof == 3 else 3})", f"× {stated:g}",  # noqa: RUF001
@@ -147,7 +147,7 @@ def main() -> None:
         )  # fmt: skip
     of_frames = [["covariance and frame", f"consistent, of {options.seeds}", "says that it may be the other frame"]]
     for name in FRAMES:
-        rows = list(pooled(partial(frame_row, case=name), seeds, options.jobs))
+        rows = pooled(partial(frame_row, case=name), seeds, options.jobs)
         consistent, said = sum(outcome == "consistent" for outcome, _ in rows), sum(other for _, other in rows)
         of_frames.append([name, str(consistent), str(said)])
     finish(options, "covariance_audit", lines, of_frames, text=3)

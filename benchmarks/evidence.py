@@ -19,8 +19,7 @@ from typing import Any
 
 from asked import Case, code_of, measure, parsed, resumable
 from evidence_rows import KINDS, ROWS, Row
-from harness import Figures, arguments, code_commit, machine, rows_as_json
-from tables import EVIDENCE, write_pages
+from harness import EVIDENCE, Figures, arguments, code_commit, machine, rows_as_json, write_pages
 
 CODE = code_of("evidence_rows", "tours")
 """what the figures depend on"""

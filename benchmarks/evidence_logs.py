@@ -34,6 +34,7 @@ import numpy as np
 from asked import Case, Found, Line, code_of, line, measure, parsed, resumable, selected
 from damaged_logs import DAMAGES, LONGER, damaged
 from harness import (
+    LOGS,
     Figures,
     arguments,
     code_commit,
@@ -44,10 +45,10 @@ from harness import (
     replay_errors,
     rows_as_json,
     run,
+    write_pages,
 )
 from repetition import drive_figures
 from repetition_scenes import SCENES
-from tables import LOGS, write_pages
 from tours import short_drive
 
 from sixthsense.config import merge, preset

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from evidence_rows import FIGURES, KINDS, ROWS, Figure, Row
-from harness import Figures, arguments, check_at_least, pooled, print_table
-from tables import EVIDENCE
+from harness import EVIDENCE, Figures, arguments, check_at_least, pooled, print_table
 
 from sixthsense.running.warmup import warm_up
 

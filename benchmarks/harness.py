@@ -1,7 +1,6 @@
-"""Shared by the benchmarks: options, timing in alternation, process pools, what is kept, and results as a table.
+"""Shared by the benchmarks: options, timing in alternation, results of many runs, and a table of them.
 
-Figures of long benchmarks are kept in a folder named after the code's commit, so that the same command resumes, in
-parts of a few minutes if it is told so. `finish` prints a table; with `--keep` it becomes a file in `results/`, from
+Runs are made by the engine of campaigns. `finish` prints a table; with `--keep` it becomes a file in `results/`, from
 which `tables.py` writes the pages.
 """
 
@@ -16,8 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 from unittest import mock
@@ -27,6 +25,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
+from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import relations_error
@@ -45,6 +44,7 @@ Figures = dict[str, Any]
 HERE = Path(__file__).resolve().parent
 CACHE = HERE / ".evidence"
 RESULTS = HERE / "results"
+EVIDENCE, LOGS = HERE / "evidence.json", HERE / "evidence_logs.json"
 PACKAGE = ("sixthsense", "scenes")
 """what the figures of all benchmarks depend on"""
 
@@ -172,35 +172,18 @@ def single_threaded() -> threadpool_limits:
 
 def pooled(
     function: Callable[[T], R], items: Sequence[T], jobs: int, initialize: Callable[[], object] = single_threaded
-) -> Iterator[R]:
+) -> list[R]:
     """The results of `function` in the order of `items`, computed by `jobs` processes, with a progress bar.
 
-    `initialize` is called once in each process. One job runs in this process, with BLAS on one thread.
+    `initialize` is called once in each process.
     """
-    with tqdm(total=len(items), unit=" runs", disable=None, leave=False) as bar:
-        if jobs == 1:
-            with single_threaded():
-                for item in items:
-                    yield function(item)
-                    bar.update()
-            return
-        with ProcessPoolExecutor(jobs, initializer=initialize) as pool:
-            for result in pool.map(function, items):
-                yield result
-                bar.update()
-
-
-def kept(file: Path, make: Callable[[], Figures]) -> Figures:
-    """The figures in a file; if there is none, `make` makes them, and they are written."""
-    if file.exists():
-        found: Figures = json.loads(file.read_text())
-        return found
-    made = make()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    aside = file.with_suffix(".partial")
-    aside.write_text(json.dumps(made) + "\n")
-    aside.replace(file)
-    return made
+    named = {str(k): item for k, item in enumerate(items)}
+    with Processes(jobs, initialize) as pool, tqdm(total=len(items), unit=" runs", disable=None, leave=False) as bar:
+        found: dict[str, R] = {}
+        for key, future in carry_out(pool, function, named):
+            found[key] = future.result()
+            bar.update()
+    return [found[key] for key in named]
 
 
 def alternate(inputs: Iterable[T], *functions: Callable[[T], object]) -> Array:
@@ -234,19 +217,22 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
     print(text_table(rows, align="right"))
 
 
+def write_pages() -> None:
+    """Write the tables of the pages anew."""
+    subprocess.run([sys.executable, HERE / "tables.py"], check=True)
+
+
 def finish(options: argparse.Namespace, name: str, *tables: Sequence[Sequence[str]], text: int = 1) -> None:
     """Print the machine and the tables, whose first `text` columns are words; with `--keep`, keep them as `name`."""
     print(machine())
     for table in tables:
         print_table(table)
     if options.keep:
-        import tables as pages
-
         command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]).replace(" --keep", "")
         found = {"command": command, "commit": code_commit(), "machine": machine(), "text": text, "tables": tables}
         RESULTS.mkdir(exist_ok=True)
         (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
-        pages.write_pages()
+        write_pages()
 
 
 def against_limits(figures: Mapping[str, float], limits: Mapping[str, str]) -> list[list[str]]:

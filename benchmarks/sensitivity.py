@@ -4,7 +4,7 @@
     python benchmarks/sensitivity.py --only evidence                     # constants whose key begins so
 
 Each run replays the log with the defaults by a copy of the package in which one constant is changed. A least share is
-moved to half and to double its distance from 1. Figures of each run are kept in a folder named after the code's commit,
+moved to half and to double its distance from 1. Figures of each run are a row of a file named after the code's commit,
 so that the same command resumes.
 """
 
@@ -18,12 +18,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from harness import CACHE, arguments, code_commit, data_path, finish, kept, pooled, replay_errors
+from harness import CACHE, arguments, code_commit, data_path, finish, replay_errors
+from tqdm import tqdm
 
+from sixthsense.campaigns.engine import Rows
 from sixthsense.config import preset
 from sixthsense.sources.replay_input import open_recorded
 
@@ -124,12 +125,16 @@ def replayed() -> dict[str, float]:
     return {key: found[key] for key in ("mean_m", "largest_m")}
 
 
-def line(group: str, name: str, folder: Path) -> list[str]:
-    """A line of the table, measured where `folder` has no figures of it yet."""
+def line(group: str, name: str, rows: Rows) -> list[str]:
+    """A line of the table, measured where there are no figures of it yet."""
     value = constant(name).value
     cells = [group, f"`{name}`", f"{value:g}"]
     for other in changed(name, value):
-        found = kept(folder / f"sensitivity-{name}-{other:g}.json", partial(errors_with, name, other))
+        key = f"{name}-{other:g}"
+        found = rows.read().get(key)
+        if found is None:
+            found = errors_with(name, other)
+            rows.add({"key": key, **found})
         cells += [f"{other:g}", f"{found['mean_m']:.4f}", f"{found['largest_m']:.2f}"]
     return cells
 
@@ -146,8 +151,8 @@ def main() -> None:
         parser.error(f"SIXTHSENSE_DATA: found no folder {LOG} there, allowed: the folder of the real data")
     chosen = [group for group in GROUPS if group.startswith(tuple(options.only))]
     due = [(group, name) for group in chosen for name in GROUPS[group]]
-    folder = CACHE / code_commit()
-    lines = list(pooled(lambda each: line(*each, folder), due, 1))
+    rows = Rows(CACHE / f"{code_commit()}.sensitivity.jsonl")
+    lines = [line(*each, rows) for each in tqdm(due, unit=" constants", disable=None, leave=False)]
     finish(options, "sensitivity", [HEAD, *lines], text=2)
 
 

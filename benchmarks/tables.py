@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from evidence_logs import Line, lines, seeds_of
 from evidence_rows import FIGURES, Figure, Kind
-from harness import HERE, RESULTS, mean_and_error
+from harness import EVIDENCE, HERE, LOGS, RESULTS, mean_and_error
 
 PAGES = (HERE.parent / "README.md", *sorted((HERE.parent / "docs" / "results").glob("*.md")))
-EVIDENCE, LOGS = HERE / "evidence.json", HERE / "evidence_logs.json"
 MARKER = re.compile(r"<!-- evidence: (?!end of )(.+?) -->")
 
 Measured = Mapping[str, Any]
@@ -96,8 +96,6 @@ def crossed(lines: Sequence[tuple[str, ...]], head: str, row: int, column: int) 
 
 def logs_text(rows: Mapping[str, Any]) -> str:
     """What is asked of scan matching on logs, and what was measured."""
-    from evidence_logs import Line, lines, seeds_of
-
     shown = [line for line in lines(rows, seeds_of(rows)[:1]) if line.measured]
     damages, drives = ([line for line in shown if line.what.startswith(kind)] for kind in ("damages", "repetition"))
     others = [line for line in shown if line not in damages and line not in drives]

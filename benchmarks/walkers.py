@@ -106,7 +106,7 @@ def main() -> int:
         for s, e, n in kinds
     ]
     due = [dataclasses.replace(config, seed=seed) for config in configs for seed in range(options.seeds)]
-    rows = list(pooled(make_row, due, options.jobs, warm))
+    rows = pooled(make_row, due, options.jobs, warm)
     of = {kind: rows[k * options.seeds : (k + 1) * options.seeds] for k, kind in enumerate(kinds)}
     lines = [["scene", "estimator", "walkers", "runs", *(head for head, *_ in COLUMNS)]]
     for (s, e, n), found in of.items():
