@@ -16,7 +16,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.evaluation.groups import MOST_GROUPS, Group, Sample, differing, grouped, labelled
 from sixthsense.evaluation.results import QUANTITIES
 from sixthsense.evaluation.tables import digits
-from sixthsense.figures.groups import group_figure
+from sixthsense.figures.panels import group_figure
 from sixthsense.figures.plot import save
 from sixthsense.figures.report import Form, contents, document, escaped, figure_block, flat_texts, metrics_rows, table
 

@@ -14,8 +14,7 @@ from sixthsense.evaluation.measured_run import numbered_names
 from sixthsense.evaluation.results import metrics_table
 from sixthsense.evaluation.summary import summary
 from sixthsense.evaluation.tables import digits, html_table, text_table
-from sixthsense.figures.groups import group_figure
-from sixthsense.figures.panels import figure
+from sixthsense.figures.panels import figure, group_figure
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 

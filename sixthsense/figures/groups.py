@@ -1,19 +1,16 @@
-"""Figures of groups of runs: medians and bands of errors, NEES averaged over runs, and relative pose errors."""
+"""Panels of groups of runs: medians and bands of errors, NEES averaged over runs, and relative pose errors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
-from sixthsense.core.picture import Picture
 from sixthsense.evaluation.curves import Over
-from sixthsense.evaluation.groups import Group, Sample, differences, grouped, resampled
+from sixthsense.evaluation.groups import Group, resampled
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M, nees_band
 from sixthsense.figures.canvas import WIDTH_IN, Canvas
 from sixthsense.figures.overtime import AXIS_LABELS
@@ -26,20 +23,6 @@ RELATIVE = {"trans_m": "relative translation error [m]", "rot_deg": "relative ro
 
 _QUANTILES = (10.0, 50.0, 90.0)
 """per cent of the runs: limits of a band, and its median"""
-
-
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A figure of groups of runs."""
-
-    title: str
-    """with the place of the axis that it is drawn over"""
-    spread: str
-    """of the title, where a group has several runs"""
-    draw: Callable[[Sequence[Group], Canvas], None]
-    """draws the groups that have its data, at least one"""
-    has: Callable[[Group], object]
-    """whether a group has its data"""
 
 
 def style_of(k: int) -> dict[str, Any]:
@@ -121,25 +104,6 @@ def draw_relative_errors(ax: Any, groups: Sequence[Group], part: str) -> None:
     ax.set(xlabel="length of path [m]", ylabel=RELATIVE[part], ylim=(0.0, 1.1 * top or 1.0))
 
 
-def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], over: Over, ax: Any) -> Picture | None:
-    """Draw a figure of the runs in groups by these fields; returns None where it is drawn on the caller's axes.
-
-    Raises InputError for a name that is none of these and for runs that lack the figure's data, InputError for
-    a field that there is not.
-    """
-    canvas = Canvas(what, list(_KINDS), over, ax)
-    found, kind = grouped(samples, by), _KINDS[what]
-    known = [group for group in found if kind.has(group)]
-    if not known:
-        kept = "runs with truth, campaigns of this version"
-        raise InputError(what, "found no run whose errors are known", kept)
-    kind.draw(known, canvas)
-    title = kind.title.format(over="time" if over == "time" else "distance travelled")
-    spread = kind.spread if len(found) < len(samples) else ""
-    canvas.entitle(title + spread, differences([sample.fields for sample in samples]))
-    return canvas.picture
-
-
 def draw_errors(groups: Sequence[Group], canvas: Canvas) -> None:
     """Position and heading error; on a single Axes the position's."""
     quantities = list(ERRORS)[:1] if canvas.is_one else list(ERRORS)
@@ -175,17 +139,10 @@ def has_relative(group: Group) -> bool:
     return len(group.metric(f"rpe_trans_m_{RPE_LENGTHS_M[0]}m")) > 0
 
 
-def _has_nees(group: Group) -> bool:
+def has_nees(group: Group) -> bool:
+    """Whether a run of the group has a NEES."""
     return any(np.isfinite(one.nees).any() for one in group.curves())
 
 
 def _counted(name: str, runs: int) -> str:
     return f"{name}, {runs} runs" if runs > 1 else name
-
-
-_MEDIAN = ": median of the runs, and 10 to 90 % of them"
-_KINDS = {
-    "error": _Kind("Pose error over {over}", _MEDIAN, draw_errors, Group.curves),
-    "rpe": _Kind("Relative pose error by length of path", _MEDIAN, draw_relative, has_relative),
-    "nees": _Kind("Pose NEES over {over}", ", averaged over the runs", draw_consistency, _has_nees),
-}

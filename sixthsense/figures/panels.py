@@ -1,4 +1,4 @@
-"""Complete figures of one or several runs, for reports and notebooks."""
+"""The figures of runs, side by side or in groups: one table has them all."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import base64
 import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.picture import Picture
 from sixthsense.evaluation.curves import Over
-from sixthsense.evaluation.groups import Group, differences, fields_of
+from sixthsense.evaluation.groups import Group, Sample, differences, fields_of, grouped
 from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, numbered_names
 from sixthsense.evaluation.results import Metrics, metrics_table
 from sixthsense.figures import groups
@@ -50,6 +50,19 @@ class _Shown:
         return Group(name, (self.run.sample(name),))
 
 
+class OfGroups(NamedTuple):
+    """How a figure shows groups of runs."""
+
+    title: str
+    """with the place of the axis that it is drawn over"""
+    spread: str
+    """of the title, where a group has several runs"""
+    draw: Callable[[Sequence[Group], Canvas], None]
+    """draws the groups that have its data, at least one"""
+    has: Callable[[Group], object]
+    """whether a group has its data"""
+
+
 @dataclass(frozen=True, slots=True)
 class Kind:
     """A figure of one or several runs."""
@@ -66,6 +79,8 @@ class Kind:
     """what it shows, in words"""
     part: RecordPart | None = None
     """of the record that it needs"""
+    groups: OfGroups | None = None
+    """the same of groups of runs, if it is drawn of them"""
 
 
 def figure(what: str, runs: Sequence[MeasuredRun], over: Over = "time", ax: Any = None) -> Picture | None:
@@ -87,6 +102,26 @@ def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
     """Draw the figure with a name in `KINDS`; None if all runs lack its data."""
     canvas = Canvas(what, list(KINDS))
     return canvas.picture if _drawn(canvas, runs) else None
+
+
+def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], over: Over, ax: Any) -> Picture | None:
+    """Draw a figure of the runs in groups by these fields; returns None where it is drawn on the caller's axes.
+
+    Raises InputError for a name that is none of these, for runs that lack the figure's data, and for a field that there
+    is not.
+    """
+    kinds = {name: kind.groups for name, kind in KINDS.items() if kind.groups is not None}
+    canvas = Canvas(what, list(kinds), over, ax)
+    found, kind = grouped(samples, by), kinds[what]
+    known = [group for group in found if kind.has(group)]
+    if not known:
+        kept = "runs with truth, campaigns of this version"
+        raise InputError(what, "found no run whose errors are known", kept)
+    kind.draw(known, canvas)
+    title = kind.title.format(over="time" if over == "time" else "distance travelled")
+    spread = kind.spread if len(found) < len(samples) else ""
+    canvas.entitle(title + spread, differences([sample.fields for sample in samples]))
+    return canvas.picture
 
 
 def _drawn(canvas: Canvas, runs: Sequence[MeasuredRun]) -> bool:
@@ -204,6 +239,7 @@ def _relative_errors(shown: Sequence[_Shown], canvas: Canvas) -> None:
     groups.draw_relative([one.group for one in shown], canvas)
 
 
+_MEDIAN = ": median of the runs, and 10 to 90 % of them"
 KINDS = {
     "map": Kind(
         "Maps", "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.", _maps
@@ -212,16 +248,19 @@ KINDS = {
         "Pose error at every scan, and at keyframes with the three-sigma bounds of the estimator",
         "Error of the pose at every scan, and at keyframes with the three-sigma bounds that the estimator has there.",
         _errors, lambda one: one.trace.key_truths, "the truth at keyframes",
+        groups=OfGroups("Pose error over {over}", _MEDIAN, groups.draw_errors, Group.curves),
     ),
     "rpe": Kind(
         "Relative pose error by length of path",
         "Relative pose error: that of the motion over every piece of path of a length, root mean square.",
         _relative_errors, lambda one: groups.has_relative(one.group), "the truth over at least a metre of path",
+        groups=OfGroups("Relative pose error by length of path", _MEDIAN, groups.draw_relative, groups.has_relative),
     ),
     "nees": Kind(
         "Consistency of the pose: normalised estimation error squared",
         "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
         _nees, lambda one: one.trace.key_truths, "the truth at keyframes",
+        groups=OfGroups("Pose NEES over {over}", ", averaged over the runs", groups.draw_consistency, groups.has_nees),
     ),
     "nis": Kind(
         "Consistency of the matches: normalised innovation squared",
