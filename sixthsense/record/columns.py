@@ -129,16 +129,15 @@ class Part:
 
     def of(self, owner: Any) -> Any:
         """The value in a trace."""
-        return attrgetter(self.field)(owner)
+        return getattr(owner, self.field) if "." not in self.field else attrgetter(self.field)(owner)
 
     def put(self, owner: Any, value: Any) -> None:
         """Set the value in a trace."""
         path, _, name = self.field.rpartition(".")
         setattr(attrgetter(path)(owner) if path else owner, name, value)
 
-    def is_absent(self, owner: Any) -> bool:
+    def is_absent(self, value: Any) -> bool:
         """Whether there is nothing to write."""
-        value = self.of(owner)
         return self.is_optional and (value is None or (isinstance(value, list) and not value))
 
 
@@ -360,9 +359,9 @@ def row_of(parts: Iterable[Part], owner: Any, k: int | None = None) -> dict[str,
     """A line of a table: the row `k` of a trace, or without one a value's own fields."""
     line: dict[str, Any] = {}
     for part in parts:
-        if part.is_absent(owner):
-            continue
         value = part.of(owner)
+        if part.is_absent(value):
+            continue
         kept = part.split(value if k is None or not part.is_row else value[k])
         line |= {column.name: column.to_line(one) for column, one in zip(part.columns, kept, strict=True)}
     return line

@@ -118,9 +118,10 @@ def write_end(folder: Path, trace: Trace) -> None:
             writer.flush(trace)
     with whole(folder / END_FILE) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
         for part in END:
-            if part.is_absent(trace):
+            whole_value = part.of(trace)
+            if part.is_absent(whole_value):
                 continue
-            for column, value in zip(part.columns, part.split(part.of(trace)), strict=True):
+            for column, value in zip(part.columns, part.split(whole_value), strict=True):
                 with out.open(f"{column.name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, column.array(value), allow_pickle=False)
 
