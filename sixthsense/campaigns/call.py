@@ -155,15 +155,13 @@ def campaign(
 
 
 def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given: dict[str, Any]) -> CampaignPlan:
-    default = preset()
     texts = [scenes] if isinstance(scenes, (str, Path)) else list(scenes)
     if not texts or not all(isinstance(text, (str, Path)) for text in texts):
         raise InputError("scenes", f"found {shown(scenes)}", "names or files of scenes, one or several")
     for name in ("scene", "seed"):
         if name in given:
             raise InputError(name, "found for a campaign", f"{name}s")
-    stated = {axis: given.pop(axis) for axis in AXES if axis in given}
-    axes = {axis: _values(axis, stated.get(axis, getattr(default, axis))) for axis in {*ALWAYS[1:], *stated}}
+    axes = {axis: _values(axis, given.pop(axis)) for axis in AXES if axis in given}
     for parts in KINDS:
         if parts.kind in axes:
             axes[parts.kind] = tuple(map(parts.name_of, axes[parts.kind]))

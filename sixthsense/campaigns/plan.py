@@ -17,7 +17,7 @@ from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.errors import import_extra as import_of_extra
 from sixthsense.config.files import absolute
-from sixthsense.config.parts import KINDS, options_class
+from sixthsense.config.parts import FILTERS, KINDS, options_class
 from sixthsense.config.section import shown
 from sixthsense.config.tree import check_parts
 
@@ -214,9 +214,12 @@ def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
 def campaign_of(axes: Mapping[str, Iterable[str]], seeds: Iterable[int], *tables: Mapping[str, Any]) -> CampaignPlan:
     """The plan of a campaign from the values of its axes, and nested tables of fields, of which later ones override.
 
-    Files of scenes are taken by their absolute paths, so that names do not depend on the working folder.
+    Files of scenes are taken by their absolute paths, so that names do not depend on the working folder. The estimator
+    of a campaign that names none is one that all its front ends can use.
     """
+    by_front_end = [merge(preset(), {"front_end": name}) for name in axes.get("front_end", ())]
+    usual = max(by_front_end or [preset()], key=lambda base: base.estimator not in FILTERS)
     scenes = (str(absolute(scene)) if Path(scene).suffix else scene for scene in axes["scene"])
-    axes = {**axes, "scene": scenes}
+    axes = {**{axis: (getattr(usual, axis),) for axis in ALWAYS}, **axes, "scene": scenes}
     values = {axis: tuple(dict.fromkeys(axes[axis])) for axis in AXES if axis in axes}
     return CampaignPlan(values, tuple(dict.fromkeys(seeds)), shared_fields(*tables))

@@ -71,11 +71,10 @@ class Campaign(Options):
         options = Campaign(**given)
         out = _checked_folder(options, table)
         from sixthsense.campaigns import Execution, complete
-        from sixthsense.campaigns.plan import ALWAYS, AXES, campaign_of, plan, seed_range
+        from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
 
         file = _read_config_table(options.config, options.preset)
-        axes = {axis: (getattr(preset(), axis),) for axis in ALWAYS}
-        axes |= {axis: (file[axis],) for axis in AXES if axis in file}
+        axes = {axis: (file[axis],) for axis in AXES if axis in file}
         axes |= {axis: values for axis in AXES if (values := getattr(options, axis))}
         seeds = (seed for text in options.seeds for seed in seed_range(text))
         campaign = campaign_of(axes, seeds, file, task_of(table), table)

@@ -279,6 +279,8 @@ def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeyp
         (seed, name) for seed in (3, 4) for name in ("landmarks", "scan-matching")
     ]
     assert {(run.explorer, run.extractor, run.estimator) for run in runs} == {("random", "lines", "isam2")}
+    both = campaign_of({"scene": ["loop"], "front_end": ["landmarks", "scan-matching"]}, [3], {})
+    assert both.values["estimator"] == ("isam2",) and len(plan(both)) == 2
     with pytest.raises(InputError, match="front_end: found scan-matching with estimator ekf"):
         plan(CampaignPlan({**one.values, "estimator": ("ekf",)}, one.seeds, one.fields))
 
