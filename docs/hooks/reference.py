@@ -1,4 +1,4 @@
-"""Reference pages generated from the package: fields of the configuration, options of the commands, metrics."""
+"""Reference pages generated from the package: configuration, commands, metrics, and the columns of a run's record."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from sixthsense.config import PRESETS, Config, Section, preset
 from sixthsense.config.parts import PartOptions
 from sixthsense.config.section import field_texts
 from sixthsense.evaluation.results import QUANTITIES
+from sixthsense.record.columns import END, KEYFRAME, PLAN, SCAN
+from sixthsense.record.trace import Trace
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _UNIT_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
@@ -66,13 +68,27 @@ collided, goal unreachable, out of time, another robot); 2 bad input, reported i
 commands but `report`, `audit`, `scenes`, `parts` and `completion` accept the fields of the
 [configuration](configuration.md) as options in addition to those below.
 """.splitlines()
+_RECORD_INTRO = """\
+`record.jsonl` has a JSON object for each scan, keyframe and plan, written while the run goes on, and a first one with
+format, radius of the robot and scene. `record.npz` has an array for each column of the end. Lists of any length are
+float64 in base64, little-endian, row by row; numbers that are not known are null in a line and NaN in an array. Poses
+are x, y, heading, world frame.
+
+This page is generated from the table that writes, reads and checks both files.
+""".splitlines()
+_TABLES = {"Per scan": SCAN, "Per keyframe": KEYFRAME, "Per planned path": PLAN, "At the end": END}
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
     """Add the generated pages."""
     from mkdocs.structure.files import File
 
-    for name, text in (("configuration", configuration()), ("cli", command_line()), ("metrics", metrics())):
+    for name, text in (
+        ("configuration", configuration()),
+        ("cli", command_line()),
+        ("metrics", metrics()),
+        ("record", record()),
+    ):
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     return files
 
@@ -116,6 +132,25 @@ def metrics() -> str:
     for group, rows in groups.items():
         lines += [f"## {group}", "", "| key | unit | meaning |", "| --- | --- | --- |", *rows, ""]
         lines += [*_GROUP_NOTES[group], ""] if group in _GROUP_NOTES else []
+    return "\n".join(lines)
+
+
+def record() -> str:
+    """Return the page of the columns of a run's record."""
+    lines, texts = ["# The columns of a record", "", *_RECORD_INTRO, ""], field_texts(Trace)
+    for title, parts in _TABLES.items():
+        lines += [
+            f"## {title}",
+            "",
+            "| column | shape | unit | of the trace | meaning |",
+            "| --- | --- | --- | --- | --- |",
+        ]
+        for part in parts:
+            meaning = _cell(texts[part.field.partition(".")[0]])
+            for column in part.columns:
+                shape = " × ".join(str(length) or "any" for length in column.shape) or "1"  # noqa: RUF001
+                lines.append(f"| `{column.name}` | {shape} | {column.unit} | `{part.field}` | {meaning} |")
+        lines.append("")
     return "\n".join(lines)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,11 @@ from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, im
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.files import instead_of
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import Curves
+from sixthsense.evaluation.groups import flat
 from sixthsense.record.writing import whole
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
         kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"
         raise InputError("out", f"{folder} is {kind}", allowed)
     saved = read_folder(folder)
-    before, now = dict(_flatten(saved["fields"])), dict(_flatten(_typed_fields(campaign)))
+    before, now = flat(saved["fields"]), flat(_typed_fields(campaign))
     for name in dict.fromkeys([*before, *now]):
         if before.get(name) != now.get(name):
             old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
@@ -110,8 +112,7 @@ def read_folder(folder: Path) -> Mapping[str, Any]:
     file = folder / FILE
     allowed = "the folder of a campaign"
     if not file.is_file():
-        found = f"no {FILE} in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
-        raise InputError(folder, f"found {found}", allowed)
+        raise InputError(folder, f"found {instead_of(folder, FILE)}", allowed)
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -148,14 +149,6 @@ def _typed_fields(campaign: CampaignPlan) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
-
-
-def _flatten(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{path}{name}.")
-        else:
-            yield path + name, value
 
 
 class CampaignRows:

@@ -171,6 +171,7 @@ class Merge(Common):
 
 def _base(runs: tuple[str, ...] | None) -> str | Config:
     """The configuration of the first run; InputError for other than two, and for what is no folder of a run."""
+    from sixthsense.config.files import instead_of
     from sixthsense.sources.logs import is_run_folder
     from sixthsense.sources.replay_input import base_of
 
@@ -178,6 +179,5 @@ def _base(runs: tuple[str, ...] | None) -> str | Config:
         raise InputError("runs", f"found {' '.join(runs or ()) or 'nothing'}", "the folders of two runs")
     for run in runs:
         if not is_run_folder(Path(run)):
-            found = "no config.toml in it" if Path(run).is_dir() else "no such folder"
-            raise InputError(run, f"found {found}", "the folder of a run")
+            raise InputError(run, f"found {instead_of(Path(run), 'config.toml')}", "the folder of a run")
     return base_of(runs[0])

@@ -22,6 +22,11 @@ NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
 
 
+def instead_of(folder: Path, name: str) -> str:
+    """What is found where a folder should hold the file of that name."""
+    return f"no {name} in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
+
+
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
     """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
 

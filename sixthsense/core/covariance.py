@@ -73,3 +73,10 @@ def are_covariances(covs: Array) -> bool:
         if off > COVARIANCE_SLACK * scale or eigen(cov)[0][0] < -COVARIANCE_SLACK * scale:
             return False
     return True
+
+
+def landmark_covariances(joint: Array) -> Array:
+    """(M, 2, 2) covariances of the landmarks of a joint covariance (3 + 2M, 3 + 2M) that has the pose first."""
+    count = (len(joint) - 3) // 2
+    each = np.arange(count)
+    return np.asarray(joint[3:, 3:].reshape(count, 2, count, 2)[each, :, each, :])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
@@ -176,7 +177,7 @@ def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:
     if not rows:
         return {}
     truth = np.array([known.landmark(identities[i]) for i in trace.final.ids[rows].tolist()])
-    covs = metrics.landmark_covariances(trace.joint_cov)[rows]
+    covs = landmark_covariances(trace.joint_cov)[rows]
     nees = metrics.nees_landmarks(trace.final.landmarks[rows], truth, trace.final.walls[rows], covs)
     return {"landmark_nees_mean": float(np.mean(nees))}
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from sixthsense.config.errors import InputError, did_you_mean, pandas
+from sixthsense.config.files import instead_of
 from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import curves, key_distances, key_nees, key_poses, key_times
@@ -146,8 +147,8 @@ def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a
         raise InputError("runs", f"found {len(folders)}", f"1 to {MAX_RUNS}")
     for folder in map(Path, folders):
         if not (folder / "config.toml").is_file():
-            found = "no config.toml in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
-            found = "the folder of a campaign" if (folder / "campaign.toml").is_file() else found
+            is_campaign = (folder / "campaign.toml").is_file()
+            found = "the folder of a campaign" if is_campaign else instead_of(folder, "config.toml")
             raise InputError(folder, f"found {found}", f"{allowed}{_near(folder)}")
 
 

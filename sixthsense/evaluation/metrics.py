@@ -104,13 +104,6 @@ def nees_landmarks(estimate: Array, truth: Array, walls: NDArray[np.bool_], cov:
     return squares(*innovations_of(estimate, cov, truth, walls))
 
 
-def landmark_covariances(joint: Array) -> Array:
-    """(M, 2, 2) covariances of the landmarks of a joint covariance (3 + 2M, 3 + 2M) that has the pose first."""
-    count = (len(joint) - 3) // 2
-    each = np.arange(count)
-    return np.asarray(joint[3:, 3:].reshape(count, 2, count, 2)[each, :, each, :])
-
-
 def full_rank_from(cov: Array) -> int:
     """The first index from which NEES is defined: `cov` (K, 3, 3) has full rank there; K if it never has."""
     full = has_full_rank(cov)

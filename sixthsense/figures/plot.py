@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.evaluation import metrics
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 from sixthsense.sources.walking_space import BODY_M
@@ -134,7 +134,7 @@ def landmarks_of(trace: Trace) -> tuple[Array, Array, list[Array]]:
     live = trace.live
     if live is None:
         estimate, records = trace.final, trace.records
-        covs = metrics.landmark_covariances(trace.joint_cov)[~estimate.walls]
+        covs = landmark_covariances(trace.joint_cov)[~estimate.walls]
     elif trace.key_estimates:
         estimate, records = trace.key_estimates[-1], dict(live.records)
         covs = live.point_covariances(estimate)

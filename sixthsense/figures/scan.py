@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.landmarks import Observation
 from sixthsense.core.laser import Scan
-from sixthsense.evaluation.metrics import landmark_covariances
 from sixthsense.figures.plot import (
     CHI2_95,
     CYCLE,

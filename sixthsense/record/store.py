@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config, load_config, prior_map_of
 from sixthsense.config.errors import InputError, reason_of
-from sixthsense.config.files import absolute
+from sixthsense.config.files import absolute, instead_of
 from sixthsense.config.section import shown
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Pose
@@ -274,8 +274,7 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     folder = Path(folder)
     file = folder / END_FILE
     if not (folder / "config.toml").is_file():
-        found = "no config.toml in it" if folder.is_dir() else "no such folder"
-        raise InputError(folder, f"found {found}", "the folder of a run")
+        raise InputError(folder, f"found {instead_of(folder, 'config.toml')}", "the folder of a run")
     if not file.is_file():
         raise InputError(folder, f"found no {END_FILE}", "the folder of a run that has ended")
     config = load_config(folder / "config.toml")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -112,9 +113,7 @@ class Live:
     def point_covariances(self, estimate: Estimate) -> Array:
         """(m, 2, 2) covariances of the m point landmarks of the latest estimate, world frame."""
         ids = estimate.ids[~estimate.walls].tolist()
-        joint = self.estimator.joint_covariance(ids)[3:, 3:].reshape(len(ids), 2, len(ids), 2)
-        each = np.arange(len(ids))
-        return np.asarray(joint[each, :, each, :])
+        return landmark_covariances(self.estimator.joint_covariance(ids))
 
 
 @dataclass(slots=True, repr=False)

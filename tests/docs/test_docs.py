@@ -15,6 +15,7 @@ import pytest
 import sixthsense as ss
 from sixthsense.cli.options import of_section
 from sixthsense.config import Section
+from sixthsense.record.columns import END, KEYFRAME, PLAN, SCAN
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ["start.md", "concepts/consistency.md", *sorted(f"howto/{page.name}" for page in DOCS.glob("howto/*.md"))]
@@ -57,6 +58,14 @@ def test_every_metric_is_explained():
     run = ss.run("rectangle", goal=(1.4, 0.5))
     assert run.outcome == "goal reached"
     assert all(f"\n| `{key}` |" in page for key in run.metrics)
+
+
+def test_every_column_of_the_record_has_its_shape_and_meaning():
+    import reference
+
+    rows = re.findall(r"^\| `(\w+)` \| (.+?) \| .* \| `([\w.]+)` \| (.+?) \|$", reference.record(), re.MULTILINE)
+    assert ("covariance", "d × d", "joint_cov") in [row[:3] for row in rows]  # noqa: RUF001
+    assert len(rows) == sum(len(part.columns) for table in (SCAN, KEYFRAME, PLAN, END) for part in table)
 
 
 def test_every_field_of_the_configuration_has_a_row_with_its_meaning():

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Pose
-from sixthsense.evaluation.metrics import landmark_covariances, nees_band, nees_landmarks
+from sixthsense.evaluation.metrics import nees_band, nees_landmarks
 from sixthsense.testing.estimation import joint_state, make
 from sixthsense.testing.posterior import BOTH, MOTION, START, START_COV
 
