@@ -13,6 +13,7 @@ scan and its keyframe is taken as exact.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,7 +32,12 @@ from sixthsense.sources.replay_input import of_log, open_recorded
 FITTED, TOLD = ("intel", "fr079"), ("aces", "clinic")
 SHARES = (0.5, 0.9, 0.95)
 WAYS_M = (0.0, 1.0, 5.0, 50.0, np.inf)
+NEAR_S = 5.0
+"""Relations of scans no farther apart are short enough that wheels know the motion, too."""
 HEAD = ["log", "relations", "stated sigma, m", *(f"within {100 * share:.0f} %" for share in SHARES), "d² / 3"]
+
+HAT = ["relations within 5 s", "number"]
+HAT += [f"{what}, {unit}" for unit in ("mm", "mrad") for what in ("stated", "ours", "relations", "wheels")]
 
 
 class Errors(NamedTuple):
@@ -43,6 +49,10 @@ class Errors(NamedTuple):
     """(R, 3, 3) covariances that the smoother states"""
     ways_m: Array
     """(R,) that the robot drove between the two scans, as estimated"""
+    of_wheels: Array
+    """(R, 3) the same errors of the log's own odometry"""
+    passed_s: Array
+    """(R,) between the two scans"""
 
     def squared(self, sigmas: Array) -> Array:
         """(R,) squared Mahalanobis distances, with the sigmas (2,) of the relations' own position and heading."""
@@ -62,7 +72,7 @@ def errors_of(name: str) -> Errors:
     found = open_recorded(file, preset("log"), folder / f"{name}.relations")
     log, relations = found.log, found.relations
     assert relations is not None
-    stamps, keys, key = [], [], 0
+    stamps, keys, wheels, key = [], [], [], 0
     log.rewind()
     with Slam(of_log(preset("log"), log), log.start, draws_map=False) as slam:
         for tick in log.ticks:
@@ -71,16 +81,27 @@ def errors_of(name: str) -> Errors:
             if tick.scan is not None:
                 stamps.append(tick.log_stamp_s)
                 keys.append(key)
+                wheels.append(tick.odometry.array())
         result = slam.finish()
         rows = matched(stamps, relations.stamps)
         covs = slam.relative_covariances(np.array(keys)[rows])
     assert result.since_key is not None
     poses = compose(result.trajectory[keys], result.since_key)
-    found_motions = between(poses[rows[:, 0]], poses[rows[:, 1]])
-    off = between(relations.poses, found_motions)
     driven_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    turned = compose(np.column_stack([np.zeros((len(off), 2)), relations.poses[:, 2]]), off)
-    return Errors(np.column_stack([turned[:, :2], off[:, 2]]), covs, np.abs(np.diff(driven_m[rows]))[:, 0])
+    return Errors(
+        _off(relations.poses, poses[rows]),
+        covs,
+        np.abs(np.diff(driven_m[rows]))[:, 0],
+        _off(relations.poses, np.array(wheels)[rows]),
+        np.abs(np.diff(np.array(stamps)[rows]))[:, 0],
+    )
+
+
+def _off(relations: Array, ends: Array) -> Array:
+    """(R, 3) errors of the motions between poses (R, 2, 3), in the frames of the first ones."""
+    off = between(relations, between(ends[:, 0], ends[:, 1]))
+    turned = compose(np.column_stack([np.zeros((len(off), 2)), relations[:, 2]]), off)
+    return np.column_stack([turned[:, :2], off[:, 2]])
 
 
 def fitted(logs: Sequence[Errors]) -> Array:
@@ -111,14 +132,37 @@ def rows_of(name: str, errors: Errors, sigmas: Array) -> list[list[str]]:
     return found
 
 
+def hat(errors: Errors) -> Array:
+    """(3, 3) robust sigmas along the first scan, across it and of heading: of ours, of the relations and of wheels.
+
+    The three-cornered hat (Gray and Allan 1974) over relations of near scans: if the three are independent, the
+    variances of their differences give each one's own. A variance below zero says that they are not; it is NaN here.
+    """
+    near = errors.passed_s <= NEAR_S
+    ours, wheels = errors.errors[near], errors.of_wheels[near]
+    a, b, c = ((np.median(np.abs(off), axis=0) / 0.6745) ** 2 for off in (ours, wheels, ours - wheels))
+    own = 0.5 * np.array([a + c - b, a + b - c, b + c - a])
+    return np.sqrt(np.where(own > 0.0, own, np.nan))
+
+
+def hat_row(name: str, errors: Errors) -> list[str]:
+    """Position, mm, and heading, mrad, of the three, beside what the smoother states."""
+    near = errors.passed_s <= NEAR_S
+    stated = np.sqrt(np.median(np.diagonal(errors.stated[near], axis1=1, axis2=2), axis=0))
+    rows = [np.hypot(one[0], one[1]) / math.sqrt(2.0) for one in (stated, *hat(errors))]
+    turns = [one[2] for one in (stated, *hat(errors))]
+    cells = ["correlated" if np.isnan(value) else f"{1e3 * value:.1f}" for value in (*rows, *turns)]
+    return [name, str(int(near.sum())), *cells]
+
+
 def main() -> None:
     """Measure, fit and print."""
     options = arguments(__doc__).parse_args()
     logs = {name: errors_of(name) for name in (*FITTED, *TOLD)}
     sigmas = fitted([logs[name] for name in FITTED])
-    print(f"relations themselves: {sigmas[0]:.4f} m, {np.degrees(sigmas[1]):.3f} deg")
+    HEAD[1] = f"relations, themselves {1e3 * sigmas[0]:.0f} mm and {1e3 * sigmas[1]:.0f} mrad"
     rows = [row for name, one in logs.items() for row in rows_of(name, one, sigmas)]
-    finish(options, "relation_covariances", [HEAD, *rows])
+    finish(options, "relation_covariances", [HEAD, *rows], [HAT, *(hat_row(name, one) for name, one in logs.items())])
 
 
 if __name__ == "__main__":

@@ -128,6 +128,8 @@ class Views(NamedTuple):
     """(R,) rows of the others"""
     at: Array
     """(R, 3) their poses, in the frame of the pose that is sought"""
+    factor: float = 1.0
+    """of the variance of a return"""
 
 
 class Loss(NamedTuple):
@@ -243,7 +245,7 @@ def add_all(views: Views, pose: Array, loss: Loss, both: bool, sums: Array) -> f
     `pose` (3,) is that of the source. Returns the largest weight of one target: targets that see the same surfaces
     count once.
     """
-    returns, source, targets, at = views
+    returns, source, targets, at = views.returns, views.source, views.targets, views.at
     sums[:] = 0.0
     most = 0.0
     for r in range(len(targets)):
@@ -280,7 +282,7 @@ def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, su
     Arguments as in `add_all`. `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly
     moves any more. Returns the largest weight of one target.
     """
-    scale = 1.0 / (SIGMA_M * SIGMA_M * max(1, len(views.targets)))
+    scale = 1.0 / (SIGMA_M * SIGMA_M * views.factor * max(1, len(views.targets)))
     gate, most = max(gate_m, SURFACE_M), 0.0
     for _ in range(_MOST_STEPS):
         most = add_all(views, pose, Loss(gate, SCALE_M), both, sums)

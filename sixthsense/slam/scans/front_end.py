@@ -151,7 +151,7 @@ class ScanFrontEnd:
         estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=cov)
         since_key = None
         if self._has_final_pass:
-            since_key = refined(self._store, self._graph.poses, self._scans, self._mount)
+            since_key = refined(self._graph, self._scans, self._mount)
         return Finished(estimate, since_key, self._graph.robot_links(list(self._graph.links.values())))
 
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
@@ -224,7 +224,7 @@ class ScanFrontEnd:
         return Odometry(Pose(*seen_from(self._mount, motion)), cov)
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
-        return Views(self._store.returns, row, targets, self._graph.poses[targets])
+        return Views(self._store.returns, row, targets, self._graph.poses[targets], self._graph.scale())
 
     def _motion(self, tracked: Tracked | None, moved: Pose) -> Odometry:
         """The motion since the last keyframe: by odometry, or as tracked, `moved`, with the covariance of a slip.
@@ -292,12 +292,13 @@ class TrackedScan(NamedTuple):
     """of the robot since then, as tracked"""
 
 
-def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Triple) -> Array:
-    """(S, 3) motion of the robot from the last keyframe to each scan; `poses` (K, 3) of keyframes, `T_world_laser`.
+def refined(graph: ScanGraph, scans: list[TrackedScan], mount: Triple) -> Array:
+    """(S, 3) motion of the robot from the last keyframe to each scan, by the poses of the graph's keyframes.
 
     About the tracked motion, with the errors of wheels in general: those of the run would hold scans where they were
     among keyframes that have moved since.
     """
+    store, poses, factor = graph.store, graph.poses, graph.scale()
     motions = np.array([scan.motion.array() for scan in scans]).reshape(-1, 3)
     if not len(poses):
         return motions
@@ -321,7 +322,7 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Tri
         if len(near) < 2 or scan is None:
             continue
         references = near[np.argsort(np.abs(near - keys[i]), kind="stable")[:NEAREST]]
-        views = Views(store.returns, store.put(scan), references, poses[references])
+        views = Views(store.returns, store.put(scan), references, poses[references], factor)
         tracked = refine(views, Prior(found[i], informations[i], SLIP_SIGMAS))
         found[i], is_aligned[i] = tracked.pose, True
     rows, keys, found = rows[is_aligned], keys[is_aligned], found[is_aligned]

@@ -58,6 +58,8 @@ class KeyframeLink(NamedTuple):
     cov: Array
     """(3, 3) of its error, axes of the target's laser"""
     kind: LinkKind
+    scale: float
+    """what the covariance by its returns was multiplied with"""
     closure: int | None
     """the loop closure that a link to an old keyframe follows from; None for one before the first"""
 
@@ -92,8 +94,8 @@ class ScanGraph:
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of keyframes when all poses were read"""
-        self._factor: float | None = None
-        """the variance factor, once it was asked for after all poses were read"""
+        self._factors: tuple[float, float] | None = None
+        """the variance factors of the links as they are and before scaling, once asked for after all poses were read"""
 
     @property
     def usual_agreement(self) -> float:
@@ -116,7 +118,7 @@ class ScanGraph:
     def refresh(self) -> None:
         """Take all poses from the estimator."""
         self.poses[:] = compose(self.estimator.trajectory(), self._mount)
-        self._refreshed, self._factor = self.count, None
+        self._refreshed, self._factors = self.count, None
 
     def link(self, key: int, old: NDArray[np.int64], closure: int | None) -> list[int]:
         """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones.
@@ -145,9 +147,12 @@ class ScanGraph:
         # The links of a scan are together worth its alignment with a map of that many scans.
         sources = found.sources.tolist()
         shared_by = np.array([1.0 + len(self._of.get(key, ())) + sources.count(key) for key in sources])
-        covs = covariances(found.sums, shared_by, self._sigma_m)
+        scale = self.scale()
+        covs = scale * covariances(found.sums, shared_by, self._sigma_m)
         links = [
-            KeyframeLink(target, source, pose, cov, *((LinkKind.OLD, closure) if old else (LinkKind.ONE_PASS, None)))
+            KeyframeLink(
+                target, source, pose, cov, LinkKind.OLD if old else LinkKind.ONE_PASS, scale, closure if old else None
+            )
             for target, source, pose, cov, old in zip(
                 found.targets.tolist(), sources, found.poses, covs, is_old.tolist(), strict=True
             )
@@ -216,15 +221,30 @@ class ScanGraph:
         effect as of samples in clusters; Kish, "Survey Sampling", 1965). The factor is 1 where the track has broken or
         the robot was carried.
         """
+        return self._variance_factors()[0]
+
+    def scale(self) -> float:
+        """What the variance of returns is to be multiplied with where scans stand beside wheels.
+
+        Where scans fit each other worse than they state, as among crooked or moved things, they count less. Where they
+        fit better nothing is said: what all have in common does not show.
+        """
+        return max(1.0, self._variance_factors()[1])
+
+    def _variance_factors(self) -> tuple[float, float]:
+        """The variance factors of the links as the estimator has them, and before they were scaled."""
         if self.first or self.count < 2:
-            return 1.0  # the covariance of a motion that nothing has measured is as stated
-        if self._factor is None:
+            return 1.0, 1.0  # the covariance of a motion that nothing has measured is as stated
+        if self._factors is None:
             links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
             passes = {(link.source, link.kind is LinkKind.ONE_PASS) for link in links}
             keys = {link.source for link in links}
             redundancy = 3.0 * len(passes) * (1.0 - len(keys) / max(len(links), 1))
-            self._factor = (float(self.squares(links).sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR)
-        return self._factor
+            squares = self.squares(links)
+            unscaled = squares * np.array([link.scale for link in links])
+            now, before = ((float(s.sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR) for s in (squares, unscaled))
+            self._factors = now, before
+        return self._factors
 
     def squares(self, links: Sequence[KeyframeLink]) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""

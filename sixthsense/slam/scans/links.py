@@ -137,7 +137,7 @@ def _aligned(
     for k in range(m):
         target, source, pose = targets[k], sources[k], poses[k]
         prior = Prior(pose.copy(), anchor, math.inf)
-        align(Views(returns, source, targets[k : k + 1], origin), prior, gates_m[k], True, pose, sums[k])
+        align(Views(returns, source, targets[k : k + 1], origin, 1.0), prior, gates_m[k], True, pose, sums[k])
         views[k, 0, 0], views[k, 0, 1], views[k, 0, 2] = compare_views(returns, target, source, pose)
         views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(returns, source, target, inverse(pose))
     moved_m = np.hypot(poses[:, 0] - starts[:, 0], poses[:, 1] - starts[:, 1])

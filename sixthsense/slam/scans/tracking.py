@@ -243,7 +243,7 @@ def _is_likelier(one: Tracked, other: Tracked) -> bool:
 
 def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
     """The pose of a scan in the submap of the targets, where it contradicts them near the odometry."""
-    returns, source, targets, at = views
+    returns, source, targets, at = views.returns, views.source, views.targets, views.at
     own = returns.points[source]
     own = own[own[:, 2] > 0.0, :2].astype(np.float64)
     firm = prior._replace(slip_sigmas=np.inf)
@@ -278,7 +278,8 @@ def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Aligned:
     pose, sums = start.copy(), np.zeros(SUMS)
     most = align(views, prior, gate_m, False, pose, sums)
     off = _off(prior, pose)
-    information = (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / (SIGMA_M**2 * max(1, len(views.targets)))
+    variance = SIGMA_M**2 * views.factor * max(1, len(views.targets))
+    information = (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / variance
     count, bearings = 0, bearings_at(views.returns, views.source)
     for k in range(0, views.returns.points.shape[1], bearings.stride):
         count += views.returns.points[views.source, k, 2] != 0.0

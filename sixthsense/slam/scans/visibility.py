@@ -69,7 +69,7 @@ def judged(views: Views, pose: Array) -> tuple[float, float]:
     A return of the source counts once: as a hit if any target saw a surface there, else as a violation if any saw
     through. Those of the targets count by 1 / R.
     """
-    returns, source, targets, at = views
+    returns, source, targets, at = views.returns, views.source, views.targets, views.at
     points, bearings = returns.points, bearings_at(returns, source)
     state = np.zeros(bearings.beams, np.int64)
     hits, violations = 0.0, 0.0

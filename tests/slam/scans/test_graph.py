@@ -7,9 +7,9 @@ import pytest
 from rooms import HALF, ROOM, scan_at, stored
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.se2 import compose
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.graph import AGREEMENT, ScanGraph
-from sixthsense.slam.scans.links import SEEN_SHARE, align_with
+from sixthsense.slam.scans.links import SEEN_SHARE, align_with, covariances
 from sixthsense.slam.scans.tracking import Usual
 
 MOUNT = np.array([0.23, -0.11, 0.6])
@@ -100,3 +100,26 @@ def test_all_poses_are_read_anew_from_time_to_time(graph):
         graph.add(pose.array(), MOUNT)
         graph.link(graph.count - 1, np.array([], dtype=np.int64), None)
     assert graph.estimator.asked == 1
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.05])
+def test_returns_count_less_where_links_fit_worse_than_they_state(graph, off_m):
+    """By hand: of one link the redundancy is 0, so that its square stands beside a prior of 10 degrees of freedom."""
+    graph.link_old(2, np.array([0]), None)
+    for pose in graph.estimator.poses[1:]:
+        pose[0] += off_m
+    graph.refresh()
+    ((i, link),) = graph.links.items()
+    graph.links[i] = link._replace(scale=2.5)
+    off = between(graph.poses[0], graph.poses[2])
+    error = link.pose - off
+    square = error @ np.linalg.inv(link.cov) @ error
+    assert graph.variance_factor() == pytest.approx((square + 10.0) / 10.0)
+    expected = max(1.0, (2.5 * square + 10.0) / 10.0)
+    assert graph.scale() == pytest.approx(expected) and (graph.scale() > 1.5) == (off_m > 0.0)
+    graph.usual = Usual(0.2, 0.5)
+    found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, np.array([0.25]))
+    graph.link_old(1, np.array([0]), None)
+    newest = graph.links[1]
+    assert (newest.target, newest.source) == (0, 1) and newest.scale == pytest.approx(expected)
+    np.testing.assert_allclose(newest.cov, expected * covariances(found.sums, np.array([2.0]), 0.01)[0], rtol=1e-9)
