@@ -45,7 +45,9 @@ def connect(scheduler: str) -> Iterator[Cluster]:
     Raises InputError if Dask is missing, if the scheduler cannot be reached, and if it has no workers.
     """
     distributed = import_extra("distributed")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # rows and errors tell what is lost
+    for name in logging.root.manager.loggerDict:  # rows and errors tell what is lost
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         client = distributed.Client(scheduler, timeout=REACH_S)
     except Exception as error:  # malformed address, network error, or a listener that is not a scheduler
