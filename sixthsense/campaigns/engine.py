@@ -136,13 +136,13 @@ class Processes:
         self._threads = ThreadPoolExecutor(self.workers, "run")
         self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
         self._all: list[_Worker] = []
-        self._is_closed = False
+        self._closed = threading.Event()
 
     def __enter__(self) -> Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._is_closed = True
+        self._closed.set()
         for worker in self._all:
             worker.process.kill()
         self._threads.shutdown(cancel_futures=True)
@@ -160,12 +160,12 @@ class Processes:
             except queue.Empty:
                 worker = _Worker(self._initialize, function)
                 self._all.append(worker)
-                if self._is_closed:
+                if self._closed.is_set():
                     worker.process.kill()
             try:
                 is_done, found = worker.call(function, item)
             except (EOFError, OSError):
-                if self._is_closed:
+                if self._closed.is_set():
                     break
                 continue
             self._idle.put(worker)

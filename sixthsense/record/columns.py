@@ -142,7 +142,7 @@ class Part:
 
 
 def one(field: str, *shape: int | str, name: str = "", optional: bool = False, row: bool = True, **more: Any) -> Part:
-    """A field that is a column itself."""
+    """A field that is a column itself, of its own name or another; `more` are the other fields of `Column`."""
     column = Column(name or field, shape, **more)
     return Part(field, (column,), lambda value: (value,), lambda value: value, optional, row)
 

@@ -118,10 +118,10 @@ def write_end(folder: Path, trace: Trace) -> None:
             writer.flush(trace)
     with whole(folder / END_FILE) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
         for part in END:
-            whole_value = part.of(trace)
-            if part.is_absent(whole_value):
+            kept = part.of(trace)
+            if part.is_absent(kept):
                 continue
-            for column, value in zip(part.columns, part.split(whole_value), strict=True):
+            for column, value in zip(part.columns, part.split(kept), strict=True):
                 with out.open(f"{column.name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, column.array(value), allow_pickle=False)
 

@@ -20,7 +20,7 @@ def whole(file: Path) -> Iterator[Path]:
 
     Raises OSError that names `file`, and then leaves nothing else behind.
     """
-    # The name keeps its suffix, which np.savez would add, and begins with a dot, which readers of Parquet skip.
+    # The name keeps its suffix, which np.savez would add.
     unfinished = file.with_name(f".{os.getpid()}.{file.name}")
     try:
         yield unfinished
