@@ -140,10 +140,10 @@ class RunFolder:
         folder if it cannot be written.
         """
         with naming(self.partial):
-            write_exports(self.partial, trace, metrics)
+            write_end(self.partial, trace)  # first: a disk that is full after it costs what can be made again
             if trace.verdict is not None:
                 write_verdict(self.partial / VERDICT_FILE, trace.verdict)
-            write_end(self.partial, trace)
+            write_exports(self.partial, trace, metrics)
 
     def finish(self) -> None:
         """Rename the folder to `OUT`, replacing an existing run, and release it.
