@@ -9,15 +9,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sixthsense.config import Config, LaserConfig, LaserNoise, merge, preset
+from sixthsense.config import Config, LaserConfig, LaserNoise, merge
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.evaluation.matches import InnovationObserver, PriorInnovations, judge_matches, true_pair_nis
+from sixthsense.evaluation.matches import judge_matches
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
-from sixthsense.loop.run import run
-from sixthsense.slam.association.records import Association
 from sixthsense.slam.features import extract
 from sixthsense.testing.sight import predict_points
 
@@ -188,30 +186,3 @@ def test_the_ideal_fit_is_weighted_least_squares_of_the_returns_and_what_is_out_
     assert verdict(wall(far, places), far).verdict == "unexplained"
     half_widths = TrueLaser(LaserConfig(), LaserNoise("uniform", 0.03, 0.006))
     assert half_widths.sigmas == pytest.approx((0.03 / 3**0.5, 0.006 / 3**0.5))
-
-
-def test_of_several_landmarks_of_a_wall_the_oldest_is_its_true_pair_and_used_is_what_shares_a_return():
-    thin, floor = (wall(BELOW, between(*ends, 20)) for ends in (([1, 1.5], [2, 1.5]), ([1, 0], [2, 0])))
-    none = PriorInnovations((), np.empty(0, np.int64), np.empty((0, 0)))
-    scan = PriorInnovations((thin, floor), np.array([9, 4, 6]), np.array([[7.1, 3.2, 5.3], [1.4, 2.5, 8.6]]))
-    scans = [Association({4: thin, 9: thin, 6: floor}), Association({9: thin, 6: thin})]
-    found = true_pair_nis([none, scan], scans, np.array([BELOW.array()] * 2), SCENE, LASER)
-    assert (found.nis.tolist(), found.matched.tolist()) == ([3.2, 8.6], [True, False])
-
-
-def test_an_observed_run_is_the_same_run_and_its_true_pairs_are_consistent():
-    config = merge(preset("default"), {"scene": "apartment", "task": "tour", "max_time": 15.0, "seed": 7})
-    observer = InnovationObserver()
-    trace = run(config, on_tick=observer)
-    np.testing.assert_array_equal(run(config).trajectory, trace.trajectory)
-    assert trace.scene is not None
-    scene = true_identities(trace.scene.walls)
-    laser = TrueLaser(config.laser, config.assumed.laser)
-    truths = np.array(trace.key_truths)
-    pairs = true_pair_nis(observer.scans, trace.associations, truths, scene, laser)
-    assert len(pairs.nis) > 100
-    assert pairs.matched.mean() > 0.95
-    assert 1.0 < pairs.nis.mean() < 3.0
-    last = observer.scans[-1]
-    kinds = np.array([one.is_wall for one in last.observations])[:, None] != trace.key_estimates[-2].walls
-    np.testing.assert_array_equal(np.isinf(last.squared), kinds)
