@@ -138,18 +138,18 @@ def metrics() -> str:
 def record() -> str:
     """Return the page of the columns of a run's record."""
     lines, texts = ["# The columns of a record", "", *_RECORD_INTRO, ""], field_texts(Trace)
-    for title, parts in _TABLES.items():
+    for title, fields in _TABLES.items():
         lines += [
             f"## {title}",
             "",
             "| column | shape | unit | of the trace | meaning |",
             "| --- | --- | --- | --- | --- |",
         ]
-        for part in parts:
-            meaning = _cell(texts[part.field.partition(".")[0]])
-            for column in part.columns:
+        for field in fields:
+            meaning = _cell(texts[field.path.partition(".")[0]])
+            for column in field.columns:
                 shape = " × ".join(str(length) or "any" for length in column.shape) or "1"  # noqa: RUF001
-                lines.append(f"| `{column.name}` | {shape} | {column.unit} | `{part.field}` | {meaning} |")
+                lines.append(f"| `{column.name}` | {shape} | {column.unit} | `{field.path}` | {meaning} |")
         lines.append("")
     return "\n".join(lines)
 

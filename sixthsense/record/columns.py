@@ -112,10 +112,10 @@ def _or_none(number: float) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Field:
     """A field of the trace and the columns that its value is kept in."""
 
-    field: str
+    path: str
     """name in the trace, with a dot for a field of a field"""
     columns: tuple[Column, ...]
     split: Callable[[Any], Iterable[Any]]
@@ -129,11 +129,11 @@ class Part:
 
     def of(self, owner: Any) -> Any:
         """The value in a trace."""
-        return getattr(owner, self.field) if "." not in self.field else attrgetter(self.field)(owner)
+        return getattr(owner, self.path) if "." not in self.path else attrgetter(self.path)(owner)
 
     def put(self, owner: Any, value: Any) -> None:
         """Set the value in a trace."""
-        path, _, name = self.field.rpartition(".")
+        path, _, name = self.path.rpartition(".")
         setattr(attrgetter(path)(owner) if path else owner, name, value)
 
     def is_absent(self, value: Any) -> bool:
@@ -141,27 +141,27 @@ class Part:
         return self.is_optional and (value is None or (isinstance(value, list) and not value))
 
 
-def one(field: str, *shape: int | str, name: str = "", optional: bool = False, row: bool = True, **more: Any) -> Part:
+def one(path: str, *shape: int | str, name: str = "", optional: bool = False, row: bool = True, **more: Any) -> Field:
     """A field that is a column itself, of its own name or another; `more` are the other fields of `Column`."""
-    column = Column(name or field, shape, **more)
-    return Part(field, (column,), lambda value: (value,), lambda value: value, optional, row)
+    column = Column(name or path, shape, **more)
+    return Field(path, (column,), lambda value: (value,), lambda value: value, optional, row)
 
 
-def _pose(field: str, unit: str = POSE, **more: Any) -> Part:
-    return Part(field, (Column(field, (3,), unit),), lambda pose: (pose.array(),), Pose.from_array, **more)
+def _pose(path: str, unit: str = POSE, **more: Any) -> Field:
+    return Field(path, (Column(path, (3,), unit),), lambda pose: (pose.array(),), Pose.from_array, **more)
 
 
-def _estimate(field: str, pose: str, cov: str) -> Part:
+def _estimate(path: str, pose: str, cov: str) -> Field:
     columns = Column(pose, (3,), POSE), Column(cov, (3, 3), SQUARES)
-    return Part(
-        field, columns, lambda e: (e.pose.array(), e.pose_cov), lambda p, c: Estimate.of_pose(Pose.from_array(p), c)
+    return Field(
+        path, columns, lambda e: (e.pose.array(), e.pose_cov), lambda p, c: Estimate.of_pose(Pose.from_array(p), c)
     )
 
 
-def _times(field: str, name: str, row: bool) -> Part:
+def _times(path: str, name: str, row: bool) -> Field:
     """Milliseconds per stage, NaN of one that was not timed."""
-    return Part(
-        field,
+    return Field(
+        path,
         (Column(name, (len(STAGES),), "ms", may_lack=True),),
         lambda times: ([times.get(stage, np.nan) for stage in STAGES],),
         lambda row: {stage: ms for stage, ms in zip(STAGES, row.tolist(), strict=True) if ms == ms},
@@ -248,9 +248,9 @@ SCENE = (
     one("walls", "", 2, 2, unit="m"),
     _pose("start", is_optional=True),
     one("radius", unit="m"),
-    Part("goal", (Column("goal", (2,), "m"),), lambda xy: (xy,), lambda xy: tuple(xy.tolist()), is_optional=True),
-    Part("tour", (Column("tour", ("", 2), "m"),), lambda tour: (tour,), lambda rows: tuple(map(tuple, rows.tolist()))),
-    Part("region", (Column("region", (4,), "m"),), lambda region: (region,), lambda row: tuple(row.tolist())),
+    Field("goal", (Column("goal", (2,), "m"),), lambda xy: (xy,), lambda xy: tuple(xy.tolist()), is_optional=True),
+    Field("tour", (Column("tour", ("", 2), "m"),), lambda tour: (tour,), lambda rows: tuple(map(tuple, rows.tolist()))),
+    Field("region", (Column("region", (4,), "m"),), lambda region: (region,), lambda row: tuple(row.tolist())),
     one("solid_left", type=bool),
     one("glass", "", 2, 2, unit="m"),
 )
@@ -263,7 +263,7 @@ SCAN = (
     one("odometry", 3, unit=POSE),
     one("truths", 3, unit=POSE, optional=True),
     one("walkers", "", 3, unit=POSE, optional=True),
-    Part("touches", (Column("touches", (2,), type=int, least=0),), lambda pair: (pair,),
+    Field("touches", (Column("touches", (2,), type=int, least=0),), lambda pair: (pair,),
          lambda pair: tuple(pair.tolist()), is_optional=True, is_row=False),
     one("last_key", type=int, least=-1),
     one("since_key", 3, unit=POSE),
@@ -274,12 +274,12 @@ SCAN = (
 
 KEYFRAME = (
     one("key_stamps_ns", name="keyframe", unit="ns", type=int, least=0),
-    Part("key_odometry", (Column("motion", (3,), POSE), Column("motion_cov", (3, 3), SQUARES)),
+    Field("key_odometry", (Column("motion", (3,), POSE), Column("motion_cov", (3, 3), SQUARES)),
          lambda m: (m.motion.array(), m.cov), lambda motion, cov: Odometry(Pose.from_array(motion), cov)),
     _estimate("key_predicted", "predicted_pose", "predicted_cov"),
     _estimate("key_estimates", "pose", "pose_cov"),
     one("key_truths", 3, name="truth", unit=POSE, optional=True),
-    Part("associations", (Column("observations", ("", 10)), Column("discarded", type=int, least=0), Column("nis"),
+    Field("associations", (Column("observations", ("", 10)), Column("discarded", type=int, least=0), Column("nis"),
                           Column("dof", type=int, least=0), Column("fused", type=int, least=0)),
          _split_association, _join_association),
     one("walls_found", "", 2, 2, name="walls", unit="m"),
@@ -292,10 +292,10 @@ PLAN = (one("plans", "", 2, name="plan", unit="m"),)
 """per planned path"""
 
 FINAL = (
-    Part("final", (Column("mean", ("d",), "m, rad"), Column("ids", ("n",), type=int),
+    Field("final", (Column("mean", ("d",), "m, rad"), Column("ids", ("n",), type=int),
                    Column("walls", ("n",), type=bool)), _split_final, _join_final),
     one("joint_cov", "d", "d", name="covariance", unit="m², rad²"),
-    Part("records", (Column("record_ids", ("N",), type=int), Column("record_kinds", ("N",), type=int),
+    Field("records", (Column("record_ids", ("N",), type=int), Column("record_kinds", ("N",), type=int),
                      Column("observations", ("N",), type=int), Column("first_scans", ("N",), type=int),
                      Column("last_scans", ("N",), type=int), Column("sigmas_m", ("N",), "m", may_lack=True),
                      Column("extents", ("N", 2, 2), "m"), Column("shapes", ("N", 5), "1/m², 1/m")),
@@ -303,7 +303,7 @@ FINAL = (
 )  # fmt: skip
 """the landmarks at the end: means and joint covariance, pose first, and what is known of each"""
 
-GRID = Part(
+GRID = Field(
     "grid",
     (Column("hits", ("h", "w"), type=int), Column("passes", ("h", "w"), type=int),
      Column("seen", ("h", "w"), type=bool), Column("origin", (2,), "m")),
@@ -320,17 +320,17 @@ END = (
     one("culled", type=int, least=0),
     one("walls_merged", type=int, least=0),
     *(one(name, type=int, least=0, optional=True) for name in ("plans_below_margin", "plans_by_astar", "guard_stops")),
-    Part("loop_closures", (Column("loop_closures", (3,), type=int, least=0),), lambda counts: (tuple(counts),),
+    Field("loop_closures", (Column("loop_closures", (3,), type=int, least=0),), lambda counts: (tuple(counts),),
          lambda counts: LoopClosureCounts(*counts.tolist()), is_optional=True),
     one("wheels", 2, PARAMETERS, optional=True),
     one("sensor", 2, SENSOR_PARAMETERS, optional=True),
-    Part("left", (Column("left", ("p", 3), "m, m, m²"), Column("left_reasons", ("p",), type=str),
+    Field("left", (Column("left", ("p", 3), "m, m, m²"), Column("left_reasons", ("p",), type=str),
                   Column("left_gaps_m", ("p",), "m", may_lack=True)), _split_left, _join_left),
     one("trajectory", "K", 3, unit=POSE),
-    Part("since_key", (Column("since_key", ("S", 3), POSE),), lambda rows: (rows,), list),
-    Part("links", (Column("link_ends", ("l", 2), type=int, least=0), Column("link_motions", ("l", 3), POSE),
+    Field("since_key", (Column("since_key", ("S", 3), POSE),), lambda rows: (rows,), list),
+    Field("links", (Column("link_ends", ("l", 2), type=int, least=0), Column("link_motions", ("l", 3), POSE),
                    Column("link_covs", ("l", 3, 3), SQUARES)), tuple, PoseLinks, is_optional=True),
-    Part("relations", (Column("relation_stamps", ("r", 2), "s"), Column("relation_poses", ("r", 3), POSE)),
+    Field("relations", (Column("relation_stamps", ("r", 2), "s"), Column("relation_poses", ("r", 3), POSE)),
          lambda found: (found.stamps, found.poses), Relations, is_optional=True),
     *FINAL,
     GRID,
@@ -349,19 +349,19 @@ def scene_of(table: Mapping[str, Any] | None) -> Scene | None:
     """The scene that such a value describes."""
     if table is None:
         return None
-    fields = {part.field: part.join(*(column.from_line(table) for column in part.columns))
-              for part in SCENE if part.columns[0].name in table}  # fmt: skip
+    fields = {field.path: field.join(*(column.from_line(table) for column in field.columns))
+              for field in SCENE if field.columns[0].name in table}  # fmt: skip
     walkers = tuple(ScriptedWalk(**walk) for walk in table["walkers"])
     return Scene(**{"start": None, "goal": None, "walkers": walkers} | fields)
 
 
-def row_of(parts: Iterable[Part], owner: Any, k: int | None = None) -> dict[str, Any]:
+def row_of(fields: Iterable[Field], owner: Any, k: int | None = None) -> dict[str, Any]:
     """A line of a table: the row `k` of a trace, or without one a value's own fields."""
     line: dict[str, Any] = {}
-    for part in parts:
-        value = part.of(owner)
-        if part.is_absent(value):
+    for field in fields:
+        value = field.of(owner)
+        if field.is_absent(value):
             continue
-        kept = part.split(value if k is None or not part.is_row else value[k])
-        line |= {column.name: column.to_line(one) for column, one in zip(part.columns, kept, strict=True)}
+        kept = field.split(value if k is None or not field.is_row else value[k])
+        line |= {column.name: column.to_line(one) for column, one in zip(field.columns, kept, strict=True)}
     return line

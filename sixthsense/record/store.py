@@ -35,7 +35,7 @@ from sixthsense.record.columns import (
     KEYFRAME,
     PLAN,
     SCAN,
-    Part,
+    Field,
     Sizes,
     row_of,
     scene_of,
@@ -50,7 +50,7 @@ from sixthsense.slam.prior_map import PriorMap, PriorStart
 from sixthsense.verdict.verdict import Cause, Level, Verdict
 
 FILE, END_FILE, VERDICT_FILE = "record.jsonl", "record.npz", "verdict.json"
-_TABLES = {parts[0].columns[0].name: parts for parts in (KEYFRAME, PLAN, SCAN)}
+_TABLES = {fields[0].columns[0].name: fields for fields in (KEYFRAME, PLAN, SCAN)}
 """tables of `record.jsonl` by the first column of their lines, in the order in which they are written"""
 
 Line = dict[str, Any]
@@ -96,9 +96,9 @@ class RecordWriter:
         if self._trace is None:
             lines = [{"format": FORMAT, "radius_m": trace.radius_m, "scene": scene_table(trace.scene)}]
         self._trace = trace
-        for name, parts in _TABLES.items():
-            count = len(parts[0].of(trace))
-            lines += [row_of(parts, trace, k) for k in range(self._written[name], count)]
+        for name, fields in _TABLES.items():
+            count = len(fields[0].of(trace))
+            lines += [row_of(fields, trace, k) for k in range(self._written[name], count)]
             self._written[name] = count
         with naming(self._file):
             self._stream.write("".join(f"{_to_json(line)}\n" for line in lines))
@@ -117,11 +117,11 @@ def write_end(folder: Path, trace: Trace) -> None:
         with RecordWriter(folder) as writer:
             writer.flush(trace)
     with whole(folder / END_FILE) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
-        for part in END:
-            kept = part.of(trace)
-            if part.is_absent(kept):
+        for field in END:
+            kept = field.of(trace)
+            if field.is_absent(kept):
                 continue
-            for column, value in zip(part.columns, part.split(kept), strict=True):
+            for column, value in zip(field.columns, field.split(kept), strict=True):
                 with out.open(f"{column.name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, column.array(value), allow_pickle=False)
 
@@ -129,7 +129,7 @@ def write_end(folder: Path, trace: Trace) -> None:
 def load_record(folder: Path | str) -> tuple[Trace, tuple[RecordPart, ...]]:
     """Read the record in the folder of a run, or in the `.partial` that a killed run has left; and what it lacks.
 
-    Lists of missing parts are empty, a missing grid is None. The estimates at keyframes are read without their
+    Lists of missing fields are empty, a missing grid is None. The estimates at keyframes are read without their
     landmarks, which no folder holds. The outcome of a killed run is "interrupted". Raises an InputError that names file
     and line for a folder that is no run folder, has recorded nothing, or is damaged.
     """
@@ -198,24 +198,24 @@ def _take(table: Line, trace: Trace) -> None:
     name = next((name for name in _TABLES if name in table), None)
     if name is None:
         raise ValueError(f"a line without any of {', '.join(_TABLES)}")
-    parts = _TABLES[name]
-    for part in parts:
-        values = part.of(trace)
-        if part.is_optional and part.columns[0].name not in table:
-            if part.is_row and values:
-                raise ValueError(f"no {part.columns[0].name}, which other lines have")
+    fields = _TABLES[name]
+    for field in fields:
+        values = field.of(trace)
+        if field.is_optional and field.columns[0].name not in table:
+            if field.is_row and values:
+                raise ValueError(f"no {field.columns[0].name}, which other lines have")
             continue
-        value = part.join(*(column.from_line(table) for column in part.columns))
-        if not part.is_row:
-            part.put(trace, value)
+        value = field.join(*(column.from_line(table) for column in field.columns))
+        if not field.is_row:
+            field.put(trace, value)
             continue
         values.append(value)
-        if len(values) != len(parts[0].of(trace)):
-            raise ValueError(f"{part.columns[0].name}, which other lines have not")
-    stamps = parts[0].of(trace)
-    if parts is not PLAN and len(stamps) > 1 and stamps[-1] <= stamps[-2]:
+        if len(values) != len(fields[0].of(trace)):
+            raise ValueError(f"{field.columns[0].name}, which other lines have not")
+    stamps = fields[0].of(trace)
+    if fields is not PLAN and len(stamps) > 1 and stamps[-1] <= stamps[-2]:
         raise ValueError(f"{name} at {stamps[-1]} ns after {stamps[-2]} ns")
-    if parts is SCAN and trace.last_key[-1] >= len(trace.key_stamps_ns):
+    if fields is SCAN and trace.last_key[-1] >= len(trace.key_stamps_ns):
         raise ValueError(f"last_key {trace.last_key[-1]} after {len(trace.key_stamps_ns)} keyframes")
 
 
@@ -227,14 +227,14 @@ def _read_end(file: Path, trace: Trace) -> None:
             raise ValueError(f"link_ends to {trace.links.ends.max()} of {len(trace.trajectory)} keyframes")
 
 
-def _read_parts(parts: Iterable[Part], arrays: Any, trace: Trace, sizes: Sizes) -> None:
+def _read_parts(fields: Iterable[Field], arrays: Any, trace: Trace, sizes: Sizes) -> None:
     """Set the fields of the trace that are kept in these arrays."""
-    for part in parts:
-        if part.is_optional and part.columns[0].name not in arrays:
+    for field in fields:
+        if field.is_optional and field.columns[0].name not in arrays:
             continue
-        part.put(trace, part.join(*(column.checked(arrays[column.name], sizes) for column in part.columns)))
-        if part is GRID:
-            trace.grid = _grid(trace, *part.of(trace))
+        field.put(trace, field.join(*(column.checked(arrays[column.name], sizes) for column in field.columns)))
+        if field is GRID:
+            trace.grid = _grid(trace, *field.of(trace))
     final, size = trace.final, sizes["d"]
     if size != 3 + 2 * len(final.ids):
         raise ValueError(f"a covariance of {size} rows with {len(final.ids)} landmarks")
@@ -279,10 +279,10 @@ def read_prior_map(folder: Path | str) -> PriorMap:
         raise InputError(folder, f"found no {END_FILE}", "the folder of a run that has ended")
     config = load_config(folder / "config.toml")
     trace, digest = Trace(config, None, 0.0), hashlib.sha256()
-    parts = (*FINAL, GRID)
+    fields = (*FINAL, GRID)
     with _loaded(file) as arrays:
-        _read_parts(parts, arrays, trace, {})
-        for name in (column.name for part in parts for column in part.columns):
+        _read_parts(fields, arrays, trace, {})
+        for name in (column.name for field in fields for column in field.columns):
             digest.update(arrays[name].tobytes() if name in arrays else b"")
     final, cov = trace.final, trace.joint_cov[3:, 3:]
     if not len(final.ids):

@@ -65,7 +65,7 @@ def test_every_column_of_the_record_has_its_shape_and_meaning():
 
     rows = re.findall(r"^\| `(\w+)` \| (.+?) \| .* \| `([\w.]+)` \| (.+?) \|$", reference.record(), re.MULTILINE)
     assert ("covariance", "d × d", "joint_cov") in [row[:3] for row in rows]  # noqa: RUF001
-    assert len(rows) == sum(len(part.columns) for table in (SCAN, KEYFRAME, PLAN, END) for part in table)
+    assert len(rows) == sum(len(field.columns) for table in (SCAN, KEYFRAME, PLAN, END) for field in table)
 
 
 def test_every_field_of_the_configuration_has_a_row_with_its_meaning():

@@ -151,7 +151,7 @@ def test_a_damaged_line_is_named(name: str) -> None:
             load_record(folder)
 
 
-COLUMNS = [column for part in END for column in part.columns]
+COLUMNS = [column for field in END for column in field.columns]
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=[column.name for column in COLUMNS])
