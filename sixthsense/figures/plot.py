@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.measured_run import MeasuredRun
+from sixthsense.record.exports import known_part
 from sixthsense.record.trace import Trace
 from sixthsense.sources.walking_space import BODY_M
 
@@ -58,13 +59,9 @@ def known_cells(trace: Trace) -> tuple[NDArray[np.int8], tuple[float, float, flo
 
     None for a trace without a grid, or without a known cell.
     """
-    occupancy = np.full((0, 0), -1, np.int8) if trace.grid is None else trace.grid.occupancy()
-    rows, cols = (np.flatnonzero(occupancy.max(axis=axis, initial=-1) >= 0) for axis in (1, 0))
-    if trace.grid is None or len(rows) == 0:
+    if trace.grid is None:
         return None
-    cell, (x0, y0) = trace.config.grid.cell_m, trace.grid.origin
-    extent = x0 + cols[0] * cell, x0 + (cols[-1] + 1) * cell, y0 + rows[0] * cell, y0 + (rows[-1] + 1) * cell
-    return occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1], extent
+    return known_part(trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
 
 
 def known_blocks(trace: Trace, most: int) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:

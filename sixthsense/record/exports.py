@@ -83,6 +83,22 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
             writer.writerow([i, record.kind.name.lower(), *columns, record.observations, *extent])
 
 
+def known_part(
+    occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float
+) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:
+    """The part of (H, W) occupancy within the bounds of the known cells, and its extent: left, right, bottom, top, m.
+
+    None without a known cell.
+    """
+    rows, cols = (np.flatnonzero(occupancy.max(axis=axis, initial=-1) >= 0) for axis in (1, 0))
+    if len(rows) == 0:
+        return None
+    (r0, r1), (c0, c1) = ((int(cells[0]), int(cells[-1]) + 1) for cells in (rows, cols))
+    x0, y0 = origin
+    extent = x0 + c0 * cell_m, x0 + c1 * cell_m, y0 + r0 * cell_m, y0 + r1 * cell_m
+    return occupancy[r0:r1, c0:c1], extent
+
+
 def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
     """Write (H, W) occupancy (-1 unknown, 0 free, 100 occupied) as map_server's PGM and YAML.
 
@@ -90,11 +106,10 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
     """
     import yaml
 
-    rows, cols = (np.flatnonzero(occupancy.max(axis=axis, initial=-1) >= 0) for axis in (1, 0))
-    if len(rows) == 0:
+    known = known_part(occupancy, origin, cell_m)
+    if known is None:
         return
-    r0, c0 = int(rows[0]), int(cols[0])
-    part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
+    part, (left, _, bottom, _) = known
     with whole(folder / "map.pgm") as file, file.open("wb") as out:
         out.write(b"P5\n%d %d\n255\n" % part.shape[::-1])
         for row in part[::-1]:  # the first row of an image is the top of the map
@@ -103,7 +118,7 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
         "image": "map.pgm",
         "mode": "trinary",
         "resolution": cell_m,
-        "origin": [origin[0] + c0 * cell_m, origin[1] + r0 * cell_m, 0.0],
+        "origin": [left, bottom, 0.0],
         "negate": 0,
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
