@@ -153,6 +153,17 @@ def test_ctrl_c_keeps_the_rows_and_exits_with_130(nearby, capsys, monkeypatch):
     assert run_command(*words) == cli.DONE
 
 
+def test_the_workers_of_a_dask_scheduler_make_the_runs_that_are_made_here(capsys):
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "protocol": "tcp"}
+    with distributed.LocalCluster(**options, dashboard_address="127.0.0.1:0") as cluster:
+        words = ("rectangle", *SHORT, "--seeds", "0:2", "--scheduler", cluster.scheduler_address)
+        assert run_command(*words, "--out", "c") == cli.DONE
+    assert "2 runs; 2 workers; dashboard http" in capsys.readouterr().err
+    alone = ss.run(ss.preset(scene="rectangle", seed=1, **FIELDS))
+    assert ss.load_campaign("c").frame()["ate_rmse_m"][1] == alone.metrics["ate_rmse_m"]
+
+
 # Real processes
 
 
