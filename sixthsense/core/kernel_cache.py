@@ -6,9 +6,10 @@ write neither. It reads its settings when it is imported, so that the choice is 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
-from collections.abc import MutableMapping
+from collections.abc import Iterator, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,42 @@ def choose_cache(package: Path) -> None:
         _compile_in_memory()
         return
     _set(os.environ, folder, is_temporary=bool(note))
+
+
+def write_in_turn() -> bool:
+    """Let processes that compile the same kernels write their caches in turn; whether that is possible here.
+
+    Numba reads the list of a kernel's compiled forms, and writes it anew with one more before the form itself. Of two
+    processes that do so at once, the later one's form would be found in place of the other's.
+    """
+    from numba.core.caching import IndexDataCacheFile
+
+    save = IndexDataCacheFile.save
+    try:
+        with in_turn():
+            pass
+    except (ImportError, OSError):  # on Windows, and on some network drives
+        return False
+
+    def saved(file: Any, key: Any, data: Any) -> None:
+        with in_turn():
+            save(file, key, data)  # type: ignore[no-untyped-call]
+
+    IndexDataCacheFile.save = saved  # type: ignore[method-assign]
+    return True
+
+
+@contextlib.contextmanager
+def in_turn() -> Iterator[None]:
+    """Hold the lock of the processes that write this package's kernels."""
+    import fcntl
+
+    folder = os.open(Path(__file__).parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
 
 
 def _set(environment: MutableMapping[str, str], folder: Path, is_temporary: bool) -> None:

@@ -44,7 +44,8 @@ def seen_from_each(poses: Array, landmarks: Array, walls: Mask) -> Array:
     """Predicted observations (m, 2) of landmarks (m, 2), each from a pose of its own (m, 3)."""
     z = np.empty((len(poses), 2))
     for k in range(len(poses)):
-        z[k] = predictions(triple(poses[k]), landmarks[k : k + 1], walls[k : k + 1])[0][0]
+        seen = predictions(triple(poses[k]), landmarks[k : k + 1], walls[k : k + 1])[0]
+        z[k, 0], z[k, 1] = seen[0, 0], seen[0, 1]
     return z
 
 

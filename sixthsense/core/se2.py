@@ -102,12 +102,53 @@ def _rows(a: Array, b: Array, is_relative: bool) -> Array:
     return out
 
 
+# Written out: an expression of arrays, or an array that is assigned to a part of another one, takes Numba a second or
+# two to compile, and a call of BLAS or LAPACK takes ten times as long as the numbers of matrices of this size.
+
+
+@numba.njit(cache=True, error_model="numpy")
+def put(out: Array, k: int, values: Array) -> None:
+    """Write a matrix (3, 3) into `out` (m, 3, 3) as the k-th."""
+    for i in range(3):
+        for j in range(3):
+            out[k, i, j] = values[i, j]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def added(a: Array, b: Array) -> Array:
+    """(3, 3) sum of matrices."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, j] + b[i, j]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def symmetrized(a: Array) -> Array:
+    """(3, 3) mean of a matrix and its transpose."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = 0.5 * (a[i, j] + a[j, i])
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def product(matrix: Array, vector: Array) -> Array:
+    """(3,) of a matrix (3, 3) and a vector (3,)."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2]
+    return out
+
+
 @numba.njit(cache=True, error_model="numpy")
 def transformed_covariance(cov: Array, c: float, s: float, u: float, v: float) -> Array:
     """`J @ cov @ J.T` (3, 3) for the Jacobian J of a motion of the plane, [[c, -s, u], [s, c, v], [0, 0, 1]].
 
     J is the adjoint of a pose with heading atan2(s, c) at (-v, u) (Sola, Deray and Atchuthan, "A micro Lie theory",
-    arXiv 1812.01537, appendix C). Written out: for matrices of this size a call of BLAS takes longer than the product.
+    arXiv 1812.01537, appendix C).
     """
     left, out = np.empty((3, 3)), np.empty((3, 3))
     for k in range(3):
@@ -126,14 +167,13 @@ def composed_covariance(first: Array, later: Array, heading: float, x: float, y:
     """(3, 3) of a motion by (x, y) at a heading, of covariance `later`, after one of covariance `first`."""
     c, s = math.cos(heading), math.sin(heading)
     moved = transformed_covariance(first, 1.0, 0.0, -s * x - c * y, c * x - s * y)
-    return moved + transformed_covariance(later, c, s, 0.0, 0.0)
+    return added(moved, transformed_covariance(later, c, s, 0.0, 0.0))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def turned_covariance(cov: Array, angle: float) -> Array:
     """(3, 3) symmetric: a covariance in axes turned by an angle."""
-    turned = transformed_covariance(cov, math.cos(angle), math.sin(angle), 0.0, 0.0)
-    return 0.5 * (turned + turned.T)
+    return symmetrized(transformed_covariance(cov, math.cos(angle), math.sin(angle), 0.0, 0.0))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -151,12 +191,10 @@ def seen_motions(T_a_b: Array, motions: Array, covs: Array) -> tuple[Array, Arra
     """(m, 3) motions `seen_from` a, with their covariances (m, 3, 3), of those of b; `T_a_b` is a row (3,)."""
     found, found_covs, at = np.empty_like(motions), np.empty_like(covs), triple(T_a_b)
     for k in range(len(motions)):
-        found[k] = np.array(seen_from(at, triple(motions[k])))
-        found_covs[k] = seen_covariance(at, triple(motions[k]), covs[k])
+        motion = triple(motions[k])
+        found[k, 0], found[k, 1], found[k, 2] = seen_from(at, motion)
+        put(found_covs, k, seen_covariance(at, motion, covs[k]))
     return found, found_covs
-
-
-# Of matrices of this size a call of LAPACK takes ten times as long as the numbers.
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -190,7 +228,7 @@ def whitenings(covs: Array) -> Array:
     """(m, 3, 3) `whitening` of covariances (m, 3, 3)."""
     out = np.empty((len(covs), 3, 3))
     for k in range(len(covs)):
-        out[k] = whitening(covs[k])
+        put(out, k, whitening(covs[k]))
     return out
 
 
@@ -217,13 +255,14 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
     By Jacobi's rotations (Golub and Van Loan, "Matrix Computations", 8.5): the roots of the cubic lose half of the
     digits where two eigenvalues are alike, and small ones beside large ones.
     """
-    a, axes = matrix.copy(), np.eye(3)
+    a, axes = matrix.copy(), np.zeros((3, 3))
+    axes[0, 0] = axes[1, 1] = axes[2, 2] = 1.0
     for _ in range(_MOST_SWEEPS):
         if a[0, 1] == 0.0 and a[0, 2] == 0.0 and a[1, 2] == 0.0:
             break
         for p, q in ((0, 1), (0, 2), (1, 2)):
             _rotate(a, axes, p, q)
-    values = np.array([a[0, 0], a[1, 1], a[2, 2]])
+    values = np.array((a[0, 0], a[1, 1], a[2, 2]))
     for p, q in ((0, 1), (1, 2), (0, 1)):
         if values[p] > values[q]:
             values[p], values[q] = values[q], values[p]

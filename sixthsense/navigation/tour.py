@@ -269,9 +269,10 @@ def shorten(lengths: Array, tour: Cells) -> None:
                 part = tour[i : j + 1].copy()
                 if turned:
                     part = part[::-1].copy()
-                if to < 0:
-                    tour[i : j + 1] = part
-                elif to < i:
-                    tour[to + 1 : j + 1] = np.concatenate((part, tour[to + 1 : i]))
-                else:
-                    tour[i : to + 1] = np.concatenate((tour[j + 1 : to + 1], part))
+                begin = i
+                if to >= i:
+                    part = np.concatenate((tour[j + 1 : to + 1], part))
+                elif to >= 0:
+                    begin, part = to + 1, np.concatenate((part, tour[to + 1 : i]))
+                for k in range(len(part)):
+                    tour[begin + k] = part[k]

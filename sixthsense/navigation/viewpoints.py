@@ -78,7 +78,7 @@ def _nearest(tiles: Bools, allowed: Bools, obstacles: Bools, row: int, col: int,
     if allowed[row, col]:
         return int(row * width + col)
     ranges, count = np.empty((_RANGES, 2), dtype=np.int64), 1  # of directions that are open, in their order
-    ranges[0] = 0, _DIRECTIONS
+    ranges[0, 0], ranges[0, 1] = 0, _DIRECTIONS
     hiding = np.empty((8 * int(reach) + 1, 2), dtype=np.int64)
     best, found = np.nextafter(reach, np.inf), -1
     for ring in range(1, int(reach) + 1):
@@ -100,7 +100,7 @@ def _nearest(tiles: Bools, allowed: Bools, obstacles: Bools, row: int, col: int,
                         cells = TILE - moving % TILE if step > 0 else moving % TILE + 1
                     left, moving = left - cells, moving + step * cells
                     if obstacles[r, c]:
-                        hiding[hidden] = r - row, c - col
+                        hiding[hidden, 0], hiding[hidden, 1] = r - row, c - col
                         hidden += 1
                     if allowed[r, c]:
                         away, index = math.hypot(r - row, c - col), r * width + c

@@ -170,12 +170,15 @@ def _sorted_seeds(cost: Array, steps: Steps, stride: int, waiting: Nodes, target
 def _cells_to_resume(steps: Steps, left: Nodes, stacks: Stacks, sizes: Sizes, seeds: Nodes) -> Nodes:
     """The cells from which the next search goes on, each once though it may be queued once per improvement."""
     found = np.empty(len(left) + sizes.sum() + len(seeds), dtype=np.int32)
-    found[: len(left)] = left
+    for i in range(len(left)):
+        found[i] = left[i]
     count = len(left)
     for slot in range(len(sizes)):
-        found[count : count + sizes[slot]] = stacks[slot, : sizes[slot]]
+        for i in range(sizes[slot]):
+            found[count + i] = stacks[slot, i]
         count += sizes[slot]
-    found[count:] = seeds
+    for i in range(len(seeds)):
+        found[count + i] = seeds[i]
     listed = 0
     for i in range(len(found)):
         if not steps[found[i]] & (EXPANDED | LISTED):

@@ -22,7 +22,9 @@ def push(stacks: Stacks, sizes: Sizes, slot: int, node: int) -> Stacks:
     """Push `node` on a stack; returns the stacks, with twice the room if that one was full."""
     if sizes[slot] == stacks.shape[1]:
         wider = np.empty((stacks.shape[0], 2 * stacks.shape[1]), dtype=np.int32)
-        wider[:, : stacks.shape[1]] = stacks
+        for row in range(stacks.shape[0]):
+            for k in range(stacks.shape[1]):
+                wider[row, k] = stacks[row, k]
         stacks = wider
     stacks[slot, sizes[slot]] = node
     sizes[slot] += 1

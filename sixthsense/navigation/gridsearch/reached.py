@@ -93,7 +93,7 @@ def _label(
                         continue
                     count += 1
                     parts[row, col] = count
-                    stack[0], size = (row, col), 1
+                    stack[0, 0], stack[0, 1], size = row, col, 1
                     while size > 0:
                         size -= 1
                         r, c = stack[size]
@@ -103,7 +103,7 @@ def _label(
                                     continue
                                 if may_step(blocked, r, c, to_r, to_c):
                                     parts[to_r, to_c] = count
-                                    stack[size] = (to_r, to_c)
+                                    stack[size, 0], stack[size, 1] = (to_r, to_c)
                                     size += 1
             counts[square_row, square_col] = count
 

@@ -84,7 +84,9 @@ def best_matches(pairs: Pairs, may_match: Mask, penalty: Array, walls: Mask, gat
         for place in range(len(best)):
             h, j = changes[best[place]]
             n = old_lengths[h]
-            chains[place, :n], lengths[place], worths[place] = old_chains[h, :n], n, new_worths[best[place]]
+            for q in range(n):
+                chains[place, q] = old_chains[h, q]
+            lengths[place], worths[place] = n, new_worths[best[place]]
             if j >= 0:
                 _extend(pairs, i, j, matches, chains[place, :n], row, own)
                 _keep(matches, count, j, n, row, own)

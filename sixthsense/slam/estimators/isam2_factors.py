@@ -26,7 +26,7 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
-from sixthsense.core.se2 import turned_covariance, whitening
+from sixthsense.core.se2 import put, turned_covariance, whitening
 from sixthsense.core.sensor import Sensor
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
@@ -60,7 +60,7 @@ def _roots(covs: Array, turns: Array) -> Array:
         cov = turned_covariance(covs[k], -turns[k])
         for i in range(3):
             cov[i, i] += _FLOOR**2
-        out[k] = whitening(cov)
+        put(out, k, whitening(cov))
     return out
 
 

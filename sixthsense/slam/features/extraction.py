@@ -170,10 +170,10 @@ def _points_from(found: Array, mount: Triple, floor: float, most: float) -> tupl
     for k in range(len(found)):
         x, y, xx, xy, yy = found[k]
         is_certain[k] = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy) <= most
-        z[k] = mount[0] + c * x - s * y, mount[1] + s * x + c * y
+        z[k, 0], z[k, 1] = mount[0] + c * x - s * y, mount[1] + s * x + c * y
         mixed = c * s * (xx - yy) + (c * c - s * s) * xy
-        cov[k, 0] = c * c * xx - 2.0 * c * s * xy + s * s * yy + floor, mixed
-        cov[k, 1] = mixed, s * s * xx + 2.0 * c * s * xy + c * c * yy + floor
+        cov[k, 0, 0], cov[k, 0, 1] = c * c * xx - 2.0 * c * s * xy + s * s * yy + floor, mixed
+        cov[k, 1, 0], cov[k, 1, 1] = mixed, s * s * xx + 2.0 * c * s * xy + c * c * yy + floor
     return z, cov, is_certain
 
 
@@ -212,11 +212,11 @@ def _walls_from(walls: Array, mount: Triple, floors: tuple[float, float]) -> tup
         turned = wrapped(alpha + math.pi + mount[2])
         c, s = math.cos(turned), math.sin(turned)
         lever = c * mount[1] - s * mount[0]
-        z[k] = turned, c * mount[0] + s * mount[1] - d
+        z[k, 0], z[k, 1] = turned, c * mount[0] + s * mount[1] - d
         mixed = lever * aa - ad
-        cov[k, 0] = aa, mixed
-        cov[k, 1] = mixed, lever * lever * aa - 2.0 * lever * ad + dd
-        extents[k] = lever - high, lever - low
+        cov[k, 0, 0], cov[k, 0, 1] = aa, mixed
+        cov[k, 1, 0], cov[k, 1, 1] = mixed, lever * lever * aa - 2.0 * lever * ad + dd
+        extents[k, 0], extents[k, 1] = lever - high, lever - low
     return z, cov, extents
 
 

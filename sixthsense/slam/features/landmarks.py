@@ -57,15 +57,18 @@ def _fit_sides(
         owned = clear_of_corners(points, owned, j, lines.fits, endpoint_type, sigmas.range_m)
         both = endpoint_type[j, 0] != UNDECIDED and endpoint_type[j, 1] != UNDECIDED
         middle = len(owned) // 2 if both else -1
-        used[u : u + len(owned)] = owned
+        for k in range(len(owned)):
+            used[u + k] = owned[k]
         for side in range(2):
             half = owned
             if middle >= 0:
                 half = owned[:middle] if side == 0 else owned[middle:]
             begin = u + (middle if middle >= 0 and side == 1 else 0)
-            of_sides[j, side] = begin, begin + len(half)
+            of_sides[j, side, 0], of_sides[j, side, 1] = begin, begin + len(half)
             if endpoint_type[j, side] != UNDECIDED and len(half) >= 3:
-                sides[j, side] = fit_line(points, half, sigmas)
+                fit = fit_line(points, half, sigmas)
+                for k in range(5):
+                    sides[j, side, k] = fit[k]
         u += len(owned)
     return sides, used[:u], of_sides
 
@@ -74,7 +77,8 @@ def _fit_sides(
 def _append(used: Indices, u: int, returns: Indices, span: Indices) -> int:
     """Copy `returns` from the first to before the last index in `span` (2,) to `used` at `u`; returns the next u."""
     count: int = span[1] - span[0]
-    used[u : u + count] = returns[span[0] : span[1]]
+    for k in range(count):
+        used[u + k] = returns[span[0] + k]
     return u + count
 
 
@@ -103,7 +107,7 @@ def find_points(
             begin = u
             u = _append(used, u, of_lines, of_sides[j, 1])
             u = _append(used, u, of_lines, of_sides[after, 0])
-            of_points[k] = begin, u
+            of_points[k, 0], of_points[k, 1] = begin, u
             k += 1
         for side, step in ((0, -spacing), (1, spacing)):
             if endpoint_type[j, side] == FREE_END:
@@ -111,7 +115,7 @@ def find_points(
                 kinds[k], found[k] = END, free_end(sides[j, side], bearing, step, sigmas.bearing_rad)
                 begin = u
                 u = _append(used, u, of_lines, of_sides[j, side])
-                of_points[k] = begin, u
+                of_points[k, 0], of_points[k, 1] = begin, u
                 k += 1
     return kinds[:k].copy(), found[:k].copy(), used[:u].copy(), of_points[:k].copy()
 

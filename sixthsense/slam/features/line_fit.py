@@ -182,7 +182,7 @@ def straight_pieces(
             stack.append((a + best + 1, b))
             stack.append((a, a + best + 1))
         else:
-            found[count] = a, b
+            found[count, 0], found[count, 1] = a, b
             count += 1
     return found[:count].copy()
 

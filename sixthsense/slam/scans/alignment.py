@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import inverse
+from sixthsense.core.se2 import inverse, product
 from sixthsense.slam.scans.returns import Bearings, Returns, bearings_at, cell_of, direction
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
@@ -220,22 +220,35 @@ def _add_reversed(sums: Array, at: int, back: Array, jacobian: tuple[float, floa
 @numba.njit(cache=True, error_model="numpy")
 def matrix(sums: Array, at: int) -> Array:
     """(3, 3) symmetric matrix at a place of the sums."""
-    a, b, c, d, e, f = sums[at], sums[at + 1], sums[at + 2], sums[at + 3], sums[at + 4], sums[at + 5]
-    return np.array([[a, b, c], [b, d, e], [c, e, f]])
+    out, k = np.empty((3, 3)), at
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] = out[j, i] = sums[k]
+            k += 1
+    return out
 
 
 @numba.njit(cache=True, error_model="numpy")
-def turned(sums: Array, at: int, c: float, s: float) -> Array:
-    """(3, 3) symmetric matrix at a place of the sums, in axes turned by an angle of cosine c and sine s.
+def told(sums: Array, over: float) -> Array:
+    """(3, 3) Hessian over a number, without what the normals' noise adds to it."""
+    out, k = np.empty((3, 3)), 0
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] = out[j, i] = (sums[HESSIAN + k] - sums[SPREAD + k]) / over
+            k += 1
+    return out
 
-    Written out: for matrices of this size a call of BLAS takes longer than the product.
-    """
-    xx, xy, xt, yy, yt, tt = sums[at], sums[at + 1], sums[at + 2], sums[at + 3], sums[at + 4], sums[at + 5]
-    a = c * c * xx - 2.0 * c * s * xy + s * s * yy
-    b = c * s * (xx - yy) + (c * c - s * s) * xy
-    d = s * s * xx + 2.0 * c * s * xy + c * c * yy
-    e, f = c * xt - s * yt, s * xt + c * yt
-    return np.array([[a, b, e], [b, d, f], [e, f, tt]])
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_turned(sums: Array, at: int, own: Array, c: float, s: float) -> None:
+    """Add the symmetric matrix at a place of `own`, in axes turned by an angle of cosine c and sine s, to `sums`."""
+    xx, xy, xt, yy, yt, tt = own[at], own[at + 1], own[at + 2], own[at + 3], own[at + 4], own[at + 5]
+    sums[at] += c * c * xx - 2.0 * c * s * xy + s * s * yy
+    sums[at + 1] += c * s * (xx - yy) + (c * c - s * s) * xy
+    sums[at + 2] += c * xt - s * yt
+    sums[at + 3] += s * s * xx + 2.0 * c * s * xy + c * c * yy
+    sums[at + 4] += s * xt + c * yt
+    sums[at + 5] += tt
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -251,20 +264,14 @@ def add_all(views: Views, pose: Array, loss: Loss, both: bool, sums: Array) -> f
     for r in range(len(targets)):
         c, s = math.cos(at[r, 2]), math.sin(at[r, 2])
         dx, dy = pose[0] - at[r, 0], pose[1] - at[r, 1]
-        seen = np.array([c * dx + s * dy, c * dy - s * dx, pose[2] - at[r, 2]])
+        seen = np.array((c * dx + s * dy, c * dy - s * dx, pose[2] - at[r, 2]))
         own = np.zeros(SUMS)
         if both:
             add_both_ways(returns, targets[r], source, seen, loss, own)
         else:
             add_one_way(returns, targets[r], source, seen, loss, own)
         for place in (HESSIAN, SPREAD):
-            block = turned(own, place, c, s)
-            sums[place] += block[0, 0]
-            sums[place + 1] += block[0, 1]
-            sums[place + 2] += block[0, 2]
-            sums[place + 3] += block[1, 1]
-            sums[place + 4] += block[1, 2]
-            sums[place + 5] += block[2, 2]
+            _add_turned(sums, place, own, c, s)
         gx, gy = own[GRADIENT], own[GRADIENT + 1]
         sums[GRADIENT] += c * gx - s * gy
         sums[GRADIENT + 1] += s * gx + c * gy
@@ -286,13 +293,9 @@ def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, su
     gate, most = max(gate_m, SURFACE_M), 0.0
     for _ in range(_MOST_STEPS):
         most = add_all(views, pose, Loss(gate, SCALE_M), both, sums)
-        off = pose - prior.pose
-        off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
-        pull = prior.information @ off
-        weight = 1.0 / (1.0 + off @ pull / (prior.slip_sigmas * prior.slip_sigmas))
-        gradient = scale * sums[GRADIENT : GRADIENT + 3] + weight * pull
-        move = solved(scale * matrix(sums, HESSIAN) + weight * prior.information, -gradient)
-        pose += move
+        move = _step(prior, scale, pose, sums)
+        for i in range(3):
+            pose[i] += move[i]
         shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
         if gate == SURFACE_M and shift < _STEP_M and turn < _STEP_RAD:
             break
@@ -301,6 +304,23 @@ def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, su
             gate = SURFACE_M
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
     return most
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _step(prior: Prior, scale: float, pose: Array, sums: Array) -> Array:
+    """(3,) step of the pose for the sums there, which are multiplied with `scale`, and the prior."""
+    off, system, downhill = np.empty(3), matrix(sums, HESSIAN), np.empty(3)
+    for i in range(3):
+        off[i] = pose[i] - prior.pose[i]
+    off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
+    pull = product(prior.information, off)
+    square = off[0] * pull[0] + off[1] * pull[1] + off[2] * pull[2]
+    weight = 1.0 / (1.0 + square / (prior.slip_sigmas * prior.slip_sigmas))
+    for i in range(3):
+        downhill[i] = -(scale * sums[GRADIENT + i] + weight * pull[i])
+        for j in range(3):
+            system[i, j] = scale * system[i, j] + weight * prior.information[i, j]
+    return solved(system, downhill)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -316,4 +336,4 @@ def solved(a: Array, b: Array) -> Array:
     y2 = (b[2] - l20 * y0 - l21 * y1) / l22
     x2 = y2 / l22
     x1 = (y1 - l21 * x2) / l11
-    return np.array([(y0 - l10 * x1 - l20 * x2) / l00, x1, x2])
+    return np.array(((y0 - l10 * x1 - l20 * x2) / l00, x1, x2))

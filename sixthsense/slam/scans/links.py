@@ -20,19 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import between, eigen, in_axes, inverse, transformed_covariance
+from sixthsense.core.se2 import added, between, eigen, in_axes, inverse, put, symmetrized, transformed_covariance
 from sixthsense.slam.scans.alignment import (
-    HESSIAN,
     HITS,
     SIGMA_M,
-    SPREAD,
     SQUARES,
     SUMS,
     WEIGHT,
     Prior,
     Views,
     align,
-    matrix,
+    told,
 )
 from sixthsense.slam.scans.returns import Returns
 from sixthsense.slam.scans.visibility import compare_views
@@ -105,10 +103,11 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
         variance = max(sums[k, SQUARES] / max(sums[k, WEIGHT], 1.0), noise)
         floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
         # Both ways the returns of a pair are counted twice.
-        returns, axes = eigen(0.5 * (matrix(sums[k], HESSIAN) - matrix(sums[k], SPREAD)))
+        returns, axes = eigen(told(sums[k], 2.0))
         share = 2.0 / (max(shared_by[k], 2.0) * variance)
-        spread = 1.0 / np.maximum(share * np.maximum(returns - FEW_RETURNS, 0.0), _UNOBSERVED**-2)
-        out[k] = in_axes(spread, axes)
+        for i in range(3):
+            returns[i] = 1.0 / max(share * max(returns[i] - FEW_RETURNS, 0.0), _UNOBSERVED**-2)
+        put(out, k, in_axes(returns, axes))
         for i, shape in enumerate((floor, floor, floor * _LEVER_M**-2)):
             out[k, i, i] += shape
     return out
@@ -133,14 +132,16 @@ def _aligned(
 ) -> Alignments:
     m = len(targets)
     poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
-    anchor, origin = np.eye(3) * (_ANCHOR / SIGMA_M**2), np.zeros((1, 3))
+    moved_m = np.empty(m)
+    anchor, origin = np.zeros((3, 3)), np.zeros((1, 3))
+    anchor[0, 0] = anchor[1, 1] = anchor[2, 2] = _ANCHOR / SIGMA_M**2
     for k in range(m):
         target, source, pose = targets[k], sources[k], poses[k]
         prior = Prior(pose.copy(), anchor, math.inf)
         align(Views(returns, source, targets[k : k + 1], origin, 1.0), prior, gates_m[k], True, pose, sums[k])
         views[k, 0, 0], views[k, 0, 1], views[k, 0, 2] = compare_views(returns, target, source, pose)
         views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(returns, source, target, inverse(pose))
-    moved_m = np.hypot(poses[:, 0] - starts[:, 0], poses[:, 1] - starts[:, 1])
+        moved_m[k] = math.hypot(pose[0] - starts[k, 0], pose[1] - starts[k, 1])
     return Alignments(targets, sources, poses, sums, views, moved_m)
 
 
@@ -169,8 +170,15 @@ def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
     weights, axes = eigen(hessian)
     for k in range(3):
         weights[k] = 1.0 / weights[k] if weights[k] > FEW_RETURNS else 0.0
-    inverse = in_axes(weights, axes)
-    return sigma_m**2 * inverse @ gradient @ inverse
+    inverse, left, out = in_axes(weights, axes), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            terms = inverse[i, 0] * gradient[0, j] + inverse[i, 1] * gradient[1, j] + inverse[i, 2] * gradient[2, j]
+            left[i, j] = sigma_m**2 * terms
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = left[i, 0] * inverse[0, j] + left[i, 1] * inverse[1, j] + left[i, 2] * inverse[2, j]
+    return out
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -182,5 +190,5 @@ def reported(cov: Array, pose: Array, own: Array, first: Array, start: Array) ->
     """
     turned = transformed_covariance(own, math.cos(pose[2]), math.sin(pose[2]), 0.0, 0.0)
     x, y = pose[0] - start[0], pose[1] - start[1]
-    found = cov + turned + transformed_covariance(first, math.cos(start[2]), math.sin(start[2]), -y, x)
-    return 0.5 * (found + found.T)  # a solver's marginal is symmetric to 1e-9 only
+    moved = transformed_covariance(first, math.cos(start[2]), math.sin(start[2]), -y, x)
+    return symmetrized(added(added(cov, turned), moved))  # a solver's marginal is symmetric to 1e-9 only

@@ -78,7 +78,9 @@ def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: 
             r = float(returns.points[keys[k], i, 2])
             if reach < r <= range_m:
                 reach = r
-    apart = 0.0 if len(poses) == 0 else float(np.abs(poses[:, :2]).max())
+    apart = 0.0
+    for k in range(len(poses)):
+        apart = max(apart, abs(poses[k, 0]), abs(poses[k, 1]))
     half = min(int((apart + reach) / voxel_m) + 2, _HALF_CELLS)
     seen = np.zeros((2 * half, 2 * half), np.bool_)
     out, n = np.empty((len(keys) * returns.points.shape[1], 4)), 0
@@ -247,7 +249,8 @@ def _best_first(
                     best = size
                 size += 1
         elif best >= 0:
-            kept[m] = waiting[best]
+            for j in range(4):
+                kept[m, j] = waiting[best, j]
             m += 1
             size, best = _remaining(waiting[:size], kept[m - 1 : m], apart)
         else:
@@ -262,7 +265,8 @@ def _remaining(waiting: NDArray[np.int64], taken: NDArray[np.int64], apart: Apar
     for q in range(len(waiting)):
         if _is_near(taken, waiting[q, 1], waiting[q, 2], waiting[q, 3], 0, apart):
             continue
-        waiting[size] = waiting[q]
+        for j in range(4):
+            waiting[size, j] = waiting[q, j]
         if best < 0 or _is_before(waiting[size], waiting[best]):
             best = size
         size += 1

@@ -23,6 +23,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.se2 import (
     Triple,
+    added,
     between,
     compose,
     composed,
@@ -30,6 +31,8 @@ from sixthsense.core.se2 import (
     in_axes,
     inverse_covariance,
     inverted,
+    product,
+    put,
     seen_covariance,
     seen_from,
     triple,
@@ -37,7 +40,7 @@ from sixthsense.core.se2 import (
     whitening,
     wrapped,
 )
-from sixthsense.slam.scans.alignment import HESSIAN, SIGMA_M, SPREAD, SUMS, Prior, Views, align, matrix, solved
+from sixthsense.slam.scans.alignment import SIGMA_M, SUMS, Prior, Views, align, solved, told
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
 from sixthsense.slam.scans.places import PLACE, VOXEL_M, Window, peaks, pyramid, submap_points
 from sixthsense.slam.scans.returns import bearings_at
@@ -134,10 +137,12 @@ def expected(key: Array, last: LastScan, mount: Triple, since: Triple, cov: Arra
             own[i, j] = cov[i, j] * (factors[i] * factors[j])
     pose = np.array(composed(begin, seen_from(back, since)))
     information = inverse_covariance(turned_covariance(seen_covariance(back, since, own), key[2]))
-    starts = np.empty((3, 3))
-    starts[0] = np.array(composed(before, seen_from(back, composed(inverted(last.since), since))))
-    starts[1] = np.array(composed(before, last.motion))
-    starts[2] = np.array(composed(before, (0.0, 0.0, 0.0)))
+    starts, moves = (
+        np.empty((3, 3)),
+        (seen_from(back, composed(inverted(last.since), since)), last.motion, (0.0, 0.0, 0.0)),
+    )
+    for k in range(len(moves)):
+        starts[k, 0], starts[k, 1], starts[k, 2] = composed(before, moves[k])
     return Expected(Prior(pose, information, SLIP_SIGMAS), starts, seen_covariance(back, since, cov))
 
 
@@ -150,7 +155,7 @@ def informations_in_world(key_poses: Array, motions: Array, covs: Array, mount: 
     out, back = np.empty((len(covs), 3, 3)), inverted(mount)
     for k in range(len(covs)):
         cov = seen_covariance(back, triple(motions[k]), covs[k])
-        out[k] = inverse_covariance(turned_covariance(cov, key_poses[k, 2]))
+        put(out, k, inverse_covariance(turned_covariance(cov, key_poses[k, 2])))
     return out
 
 
@@ -220,11 +225,14 @@ def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: boo
     best = _judged(aligned(views, prior, starts[0], NEAR_GATE_M), prior, usual, is_guess)
     if best.is_firm:
         return best
+    weak = prior.information.copy()
+    for i in range(3):
+        for j in range(3):
+            weak[i, j] *= _WEAK
     by, start, gate_m = Prior(prior.pose, prior.information, np.inf), prior.pose, NEAR_GATE_M
     for k in range(len(starts) + 1):
         if k > 0:
-            by = Prior(prior.pose, _WEAK * prior.information, prior.slip_sigmas)
-            start, gate_m = starts[k - 1], WIDE_GATE_M
+            by, start, gate_m = Prior(prior.pose, weak, prior.slip_sigmas), starts[k - 1], WIDE_GATE_M
         other = _judged(aligned(views, by, start, gate_m), prior, usual, is_guess)
         best = other if _is_likelier(other, best) else best
     return best
@@ -278,8 +286,7 @@ def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Aligned:
     pose, sums = start.copy(), np.zeros(SUMS)
     most = align(views, prior, gate_m, False, pose, sums)
     off = _off(prior, pose)
-    variance = SIGMA_M**2 * views.factor * max(1, len(views.targets))
-    information = (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / variance
+    information = told(sums, SIGMA_M**2 * views.factor * max(1, len(views.targets)))
     count, bearings = 0, bearings_at(views.returns, views.source)
     for k in range(0, views.returns.points.shape[1], bearings.stride):
         count += views.returns.points[views.source, k, 2] != 0.0
@@ -290,18 +297,7 @@ def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Aligned:
 
 @numba.njit(cache=True, error_model="numpy")
 def _off(prior: Prior, pose: Array) -> Array:
-    off = pose - prior.pose
-    off[2] = wrapped(off[2])
-    return off
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _product(matrix: Array, vector: Array) -> Array:
-    """(3,) of a matrix (3, 3) and a vector (3,)."""
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2]
-    return out
+    return np.array((pose[0] - prior.pose[0], pose[1] - prior.pose[1], wrapped(pose[2] - prior.pose[2])))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -330,14 +326,15 @@ def _judged(found: Aligned, prior: Prior, usual: Usual, is_guess: bool) -> Track
     is_doubted = share > 1.0 - _DOUBTED * (1.0 - usual.contradicted)
     is_firm = slip <= SLIP_SIGMAS**2 and not is_doubted
     pose, off, (values, axes) = found.pose, found.off, eigen(found.information)
-    # Less than nothing is rounding.
-    information = found.information if values[0] >= 0.0 else in_axes(np.maximum(values, 0.0), axes)
+    information = found.information
+    if values[0] < 0.0:  # which is rounding
+        information = in_axes(_at_least(values, 0.0), axes)
     if is_guess:
         off, information = _remapped(values, axes, prior, off)
-        pose = prior.pose + off
-        pose[2] = wrapped(pose[2])
+        x, y, theta = triple(prior.pose)
+        pose = np.array((x + off[0], y + off[1], wrapped(theta + off[2])))
         slip, slipping = _square(prior.information, off), _slipping(prior, off)
-    cov = inverse_covariance(prior.information + information)
+    cov = inverse_covariance(added(prior.information, information))
     newest = Usual(
         usual.contradicted + _NEWEST_SHARE * (share - usual.contradicted),
         usual.lines + _NEWEST_SHARE * (lines / max(judged, 1.0) - usual.lines),
@@ -356,11 +353,19 @@ def _remapped(values: Array, axes: Array, prior: Prior, off: Array) -> tuple[Arr
     Along a corridor a few wrong partners hold a scan where it was. Solution remapping, Zhang, Kaess and Singh 2016,
     "On degeneracy of optimization-based state estimation problems", with information in place of a threshold.
     """
-    values = np.maximum(values, _LEAST)
-    told = np.maximum(values - _FEW / SIGMA_M**2, 0.0)
-    left, share = in_axes(told, axes), in_axes(told / values, axes)
-    by_scans = _product(share, _product(prior.information + in_axes(values, axes), off))
-    return solved(prior.information + left, by_scans), left
+    values, left, share = _at_least(values, _LEAST), np.empty(3), np.empty(3)
+    for i in range(3):
+        left[i] = max(values[i] - _FEW / SIGMA_M**2, 0.0)
+        share[i] = left[i] / values[i]
+    information = in_axes(left, axes)
+    by_scans = product(in_axes(share, axes), product(added(prior.information, in_axes(values, axes)), off))
+    return solved(added(prior.information, information), by_scans), information
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _at_least(values: Array, least: float) -> Array:
+    """(3,) numbers, those below a limit at it."""
+    return np.array((max(values[0], least), max(values[1], least), max(values[2], least)))
 
 
 @numba.njit(cache=True, error_model="numpy")
