@@ -7,6 +7,7 @@ write neither. It reads its settings when it is imported, so that the choice is 
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import sys
 from collections.abc import Iterator, MutableMapping
@@ -37,6 +38,7 @@ def choose_cache(package: Path) -> None:
     _set(os.environ, folder, is_temporary=bool(note))
 
 
+@functools.cache
 def write_in_turn() -> bool:
     """Let processes that compile the same kernels write their caches in turn; whether that is possible here.
 

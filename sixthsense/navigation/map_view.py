@@ -215,7 +215,7 @@ class MapView:
     def sees_walls(self, position: Array, reach: float) -> bool:
         """Whether an obstacle lies within a reach, in cells, of a (2,) position."""
         centre = box_of(np.floor(position[None, ::-1] / self.cell_m).astype(np.int64))
-        rows, cols = np.nonzero(self.grid.part("obstacles", centre.grown(math.ceil(reach))))
+        rows, cols = self.grid.obstacle_cells(centre.grown(math.ceil(reach))).T
         return bool((np.hypot(rows - math.ceil(reach), cols - math.ceil(reach)) <= reach).any())
 
     def moved(self, position: Array) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -55,14 +55,16 @@ class Stopwatch:
         self.totals = dict.fromkeys(STAGES, 0.0)
         """per stage, milliseconds in the whole run"""
         self._row: dict[str, float] = {}
-        self._waited = 0.0  # milliseconds that no stage counts
+        self.waited = 0.0
+        """milliseconds that no stage counts"""
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> AbstractContextManager[None]:
         """Add the time within to a stage."""
-        began, waited = time.perf_counter(), self._waited
-        yield
-        elapsed = 1e3 * (time.perf_counter() - began) - (self._waited - waited)
+        return _Stage(self, name)
+
+    def measured(self, name: str, began: float, waited: float) -> None:
+        """Add the time since `began` to a stage, s, but what was waited since it was `waited`, ms."""
+        elapsed = 1e3 * (time.perf_counter() - began) - (self.waited - waited)
         self._row[name] = self._row.get(name, 0.0) + elapsed
         self.totals[name] += elapsed
 
@@ -73,7 +75,7 @@ class Stopwatch:
         def call(*args: Any) -> Any:
             began = time.perf_counter()
             out = function(*args)
-            self._waited += 1e3 * (time.perf_counter() - began)
+            self.waited += 1e3 * (time.perf_counter() - began)
             return out
 
         return call
@@ -87,6 +89,22 @@ class Stopwatch:
     def keyframe_ms(self) -> Array:
         """(K,) processing time of each keyframe without sensing, milliseconds."""
         return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in self.rows])
+
+
+class _Stage:
+    """Times a stage; each tick enters several, and a generator takes twice as long."""
+
+    __slots__ = ("_began", "_name", "_waited", "_watch")
+
+    def __init__(self, watch: Stopwatch, name: str) -> None:
+        self._watch, self._name = watch, name
+
+    def __enter__(self) -> None:
+        self._began, self._waited = time.perf_counter(), self._watch.waited
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self._watch.measured(self._name, self._began, self._waited)
 
 
 @dataclass(slots=True)

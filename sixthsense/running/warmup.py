@@ -72,7 +72,8 @@ def prepare(say: Callable[[str], object], config: Config | None = None, of_log: 
 def _second_process(drives: bool, matches: bool) -> Iterator[None]:
     """Compile in a second process, too, where there is a processor for it and the kernels are kept in files."""
     is_alone = multiprocessing.parent_process() is None  # else others compile beside it
-    if not (is_alone and sys.executable and (os.cpu_count() or 1) > 1 and kernel_cache.write_in_turn()):
+    is_kept = not kernel_cache.note and kernel_cache.write_in_turn()
+    if not (is_alone and is_kept and sys.executable and (os.cpu_count() or 1) > 1):
         yield
         return
     program = f"from sixthsense.running.warmup import warm_up_beside; warm_up_beside({drives}, {matches})"

@@ -3,9 +3,11 @@
 import os
 import stat
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from sixthsense.core import kernel_cache
 from sixthsense.core.kernel_cache import choose_cache
@@ -56,3 +58,17 @@ def test_without_a_home_the_cache_is_in_a_temporary_folder_of_the_user_alone_and
     assert os.environ["MPLCONFIGDIR"] == str(folder / "matplotlib")
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert f"kernels are compiled into {folder}" in kernel_cache.note and "\n" not in kernel_cache.note
+
+
+def test_a_kernel_is_written_when_no_other_process_writes(tmp_path) -> None:
+    """Else the list of a kernel's compiled forms that one process has read would replace what the other has written."""
+    pytest.importorskip("fcntl")
+    assert kernel_cache.write_in_turn() and kernel_cache.write_in_turn()  # again, without waiting for itself
+    of_kernel = IndexDataCacheFile(str(tmp_path), "kernel", ("source", 7))
+    writing = threading.Thread(target=of_kernel.save, args=("float64", b"compiled"))
+    with kernel_cache.in_turn():
+        writing.start()
+        writing.join(timeout=0.3)
+        assert of_kernel.load("float64") is None
+    writing.join()
+    assert of_kernel.load("float64") == b"compiled"

@@ -1,6 +1,8 @@
 """What is compiled before a run, and whether it was compiled before."""
 
+import contextlib
 import gc
+import time
 from pathlib import Path
 
 import numba
@@ -25,13 +27,36 @@ WHAT = [
 
 @pytest.mark.parametrize(("config", "of_log", "is_first", "expected"), WHAT)
 def test_a_run_compiles_what_it_needs(config, of_log, is_first, expected, monkeypatch) -> None:
-    done, said = set(), []
+    done, said, beside = set(), [], []
     for name, part in {"warm_up": "all", "_warm_up_drive": "drive", "warm_up_scans": "scans"}.items():
         monkeypatch.setattr(warmup, name, lambda part=part: done.add(part))
     monkeypatch.setattr(warmup, "is_compiled", lambda: not is_first)
+    monkeypatch.setattr(warmup, "_second_process", lambda *parts: beside.append(parts) or contextlib.nullcontext())
     monkeypatch.setattr(kernel_cache, "note", "")
     warmup.prepare(said.append, config, of_log)
     assert done == expected and said == [warmup.COMPILING] * is_first
+    assert beside == [(bool(expected & {"all", "drive"}), "scans" in expected)] * is_first
+
+
+def test_a_second_process_compiles_until_the_first_has_what_it_needs(tmp_path: Path, monkeypatch) -> None:
+    """It is this package's, its kernels are found where this process looks for them, and it does not outlive it."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(warmup.os, "cpu_count", lambda: 2)
+    with warmup._second_process(False, True):
+        deadline = time.monotonic() + 60.0
+        while not list(tmp_path.rglob("*.nbc")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+    kept = {path.name for path in tmp_path.rglob("*.nbc")}
+    assert kept
+    time.sleep(0.5)
+    assert {path.name for path in tmp_path.rglob("*.nbc")} == kept
+
+
+def test_one_processor_compiles_in_one_process(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(warmup.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(warmup.subprocess, "Popen", None)
+    with warmup._second_process(True, True):
+        pass
 
 
 @pytest.mark.parametrize("has_own_cache", [True, False])

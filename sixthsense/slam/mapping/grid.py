@@ -263,10 +263,14 @@ class Grid:
 
     def obstacle_points(self, box: Box) -> Array:
         """(N, 2) where the obstacles in a box are, world frame, metres: the mean of each cell's returns."""
-        rows, cols = np.nonzero(self.part("obstacles", box))
-        down, across = (self.part(name, box)[rows, cols] / OFFSET for name in ("down", "across"))
+        rows, cols, at = self._tiles.where(self._cells.obstacles, box).T
+        down, across = self._cells.down[at] / OFFSET, self._cells.across[at] / OFFSET
         points = np.stack([box.left + cols + 0.5 + across, box.top + rows + 0.5 + down], axis=1)
         return np.asarray(points * self._config.cell_m)
+
+    def obstacle_cells(self, box: Box) -> NDArray[np.int64]:
+        """(N, 2) row and column in a box of its obstacles, by rows."""
+        return self._tiles.where(self._cells.obstacles, box)[:, :2]
 
     def near_returns(self, box: Box, radius_m: float) -> Bools:
         """(H, W) the cells of a box whose centres are nearer than a radius to where an obstacle is, or to a body."""

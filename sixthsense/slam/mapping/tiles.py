@@ -98,6 +98,11 @@ class Tiles:
         _copy(self.index, pool, box.top - self.first[0], box.left - self.first[1], part)
         return part
 
+    def where(self, mask: NDArray[np.bool_], box: Box) -> NDArray[np.int64]:
+        """(N, 3) row and column in a box of the cells of a flat mask, by rows, and where they are in flat arrays."""
+        shape = box.bottom - box.top, box.right - box.left
+        return np.asarray(_where(self.index, mask, box.top - self.first[0], box.left - self.first[1], shape))
+
 
 @numba.njit(cache=True, error_model="numpy")
 def slot(index: Index, place: int) -> int:
@@ -122,3 +127,24 @@ def _copy(index: Index, pool: NDArray[Any], top: int, left: int, part: NDArray[A
                 begin = (tile << (2 * SHIFT)) + ((row - first_row) << SHIFT) - first_col
                 for col in range(max(first_col, 0), min(first_col + TILE, width)):
                     part[row, col] = pool[begin + col]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _where(index: Index, mask: NDArray[np.bool_], top: int, left: int, shape: tuple[int, int]) -> NDArray[np.int64]:
+    """As `Tiles.where`; the first cell of the box is at row `top` and column `left` of the index."""
+    rows, cols = index.shape
+    out, count = np.empty((256, 3), dtype=np.int64), 0
+    for row in range(max(-top, 0), min(shape[0], (rows << SHIFT) - top)):
+        for square_col in range(max(left >> SHIFT, 0), min(((left + shape[1] - 1) >> SHIFT) + 1, cols)):
+            tile, first = np.int64(index[(top + row) >> SHIFT, square_col]), (square_col << SHIFT) - left
+            if tile < 0:
+                continue
+            begin = (tile << (2 * SHIFT)) + (((top + row) & (TILE - 1)) << SHIFT) - first
+            for col in range(max(first, 0), min(first + TILE, shape[1])):
+                if not mask[begin + col]:
+                    continue
+                if count == len(out):
+                    out = np.concatenate((out, np.empty_like(out)))
+                out[count, 0], out[count, 1], out[count, 2] = row, col, begin + col
+                count += 1
+    return out[:count].copy()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,9 @@ class ScanGraph:
         """number of keyframes"""
         self.links: dict[int, KeyframeLink] = {}
         """by the estimator's id"""
+        self._ends, self._motions = np.zeros((64, 2), dtype=np.int64), np.zeros((64, 3))
+        self._roots, self._are_old = np.zeros((64, 3, 3)), np.zeros(64, dtype=np.bool_)
+        """of the links, in the rows of their ids: keyframes, relative poses, whitenings of their errors, and kinds"""
         self._of: dict[int, list[int]] = {}
         """of a keyframe: the ids of its links to earlier ones"""
         self.uncertainty = UncertaintyGraph()
@@ -106,9 +109,8 @@ class ScanGraph:
         """Add the newest keyframe at `pose` (3,), `T_world_laser`, whose `mount` (3,) is `T_robot_laser`."""
         k = self.count
         if k == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+            self._rows, self._centres = _doubled(self._rows), _doubled(self._centres)
             self._kept_rows = np.concatenate([self._kept_rows, np.ones_like(self._kept_rows)])
-            self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
         self._rows[k], self._mount = pose, mount
         points = self.store.returns.points[k]
         self._centres[k, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
@@ -193,6 +195,7 @@ class ScanGraph:
         ids = self.estimator.link(
             [Link(a.target, a.source, motion, loss) for a, motion, loss in zip(links, motions, losses, strict=True)]
         )
+        self._tabulate(ids, links)
         for i, link in zip(ids, links, strict=True):
             self.links[i] = link
             self._of.setdefault(link.source, []).append(i)
@@ -200,6 +203,17 @@ class ScanGraph:
                 position = largest_variance(link.cov)[0]
                 self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
         return ids
+
+    def _tabulate(self, ids: Sequence[int], links: Sequence[KeyframeLink]) -> None:
+        """Keep new links as rows of arrays."""
+        while ids and max(ids) >= len(self._ends):
+            self._ends, self._motions = _doubled(self._ends), _doubled(self._motions)
+            self._roots, self._are_old = _doubled(self._roots), _doubled(self._are_old)
+        rows = np.array(ids, dtype=np.int64)
+        self._ends[rows] = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
+        self._motions[rows] = np.array([link.pose for link in links]).reshape(-1, 3)
+        self._roots[rows] = whitenings(np.array([link.cov for link in links]).reshape(-1, 3, 3))
+        self._are_old[rows] = [link.kind is LinkKind.OLD for link in links]
 
     def robot_links(self, links: Sequence[KeyframeLink]) -> PoseLinks:
         """Links, between poses of the robot."""
@@ -236,24 +250,22 @@ class ScanGraph:
         if self.first or self.count < 2:
             return 1.0, 1.0  # the covariance of a motion that nothing has measured is as stated
         if self._factors is None:
-            links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
-            passes = {(link.source, link.kind is LinkKind.ONE_PASS) for link in links}
-            keys = {link.source for link in links}
-            redundancy = 3.0 * len(passes) * (1.0 - len(keys) / max(len(links), 1))
+            links = list(itertools.islice(reversed(self.links), _FACTOR_LINKS))
+            sources, are_old = self._ends[links, 1], self._are_old[links]
+            passes, keys = len(np.unique(2 * sources + are_old)), len(np.unique(sources))
+            redundancy = 3.0 * passes * (1.0 - keys / max(len(links), 1))
             squares = self.squares(links)
-            unscaled = squares * np.array([link.scale for link in links])
+            unscaled = squares * np.array([self.links[i].scale for i in links])
             now, before = ((float(s.sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR) for s in (squares, unscaled))
             self._factors = now, before
         return self._factors
 
-    def squares(self, links: Sequence[KeyframeLink]) -> Array:
+    def squares(self, ids: Sequence[int]) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""
-        ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
-        covs = np.array([link.cov for link in links]).reshape(-1, 3, 3)
-        relative = np.array([link.pose for link in links]).reshape(-1, 3)
-        off = relative - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
+        rows = np.array(ids, dtype=np.int64)
+        off = self._motions[rows] - between(self.poses[self._ends[rows, 0]], self.poses[self._ends[rows, 1]])
         off[:, 2] = wrap_angle(off[:, 2])
-        return np.asarray(((whitenings(covs) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
+        return np.asarray(((self._roots[rows] @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
 
     def linked_old(self, key: int) -> list[int]:
         """Old keyframes that a keyframe is linked to."""
@@ -289,6 +301,11 @@ class ScanGraph:
         turn = np.abs(wrap_angle(self.poses[candidates, 2] - pose[2]))
         order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
         return np.asarray(order[distance[order] < reach_m])
+
+
+def _doubled(rows: NDArray[Any]) -> NDArray[Any]:
+    """The same rows with room for as many more."""
+    return np.concatenate([rows, np.zeros_like(rows)])
 
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
@@ -345,12 +362,13 @@ class Closings:
 
     def _contradiction(self, g: int) -> float:
         """Median squared Mahalanobis distance from the estimate of the links that a loop was closed with."""
-        own = self._of(self._own[g])
+        own = self._own[g]
         return float(np.median(self._graph.squares(own))) if own else 0.0
 
     def _broken(self, newest: int) -> int:
         """How many links of all loop closures but the newest one contradict the estimate."""
-        others = [link for link in self.links if link.closure != newest]
+        links = self._graph.links.items()
+        others = [i for i, link in links if link.kind is LinkKind.OLD and link.closure != newest]
         return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
 
     def _undo(self, g: int) -> None:

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import between
+from sixthsense.core.se2 import added, between, eigen, in_axes, inverse_covariance, largest_variance, symmetrized
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.motion_source import WHEELS_M_PER_M
 from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, REACH_M, Closings, ScanGraph, Thinning
@@ -93,17 +94,8 @@ class LoopClosures:
         step = between(self._graph.poses[key - 1], self._graph.poses[key])
         travel = math.hypot(step[0], step[1]) + M_PER_RAD * abs(step[2])
         self._travelled[key] = self._travelled[key - 1] + travel
-        told = np.zeros((3, 3))
-        if tracked is not None:
-            values, axes = np.linalg.eigh(tracked.information)
-            told = (axes * np.maximum(values, 0.0)) @ axes.T
-        # The scans' own error is a drift of what they are aligned with, too, which the wheels may bound.
-        drift = travel * np.diag([_DRIFT_M, _DRIFT_M, _DRIFT_RAD]) ** 2
-        cov = np.linalg.inv(told @ np.linalg.inv(np.eye(3) + drift @ told) + odometry_information)
-        position, heading = float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2])
-        weakest = np.linalg.eigh(cov[:2, :2])[1][:, -1]
-        # The share of the wheels in what is known along the direction that is known least: 1 in a bare corridor.
-        by_wheels = float(weakest @ odometry_information[:2, :2] @ weakest) * float(weakest @ cov[:2, :2] @ weakest)
+        told = np.zeros((3, 3)) if tracked is None else tracked.information
+        position, heading, by_wheels = _step_variances(told, odometry_information, travel)
         if tracked is not None and tracked.has_slipped:
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
@@ -159,6 +151,38 @@ class LoopClosures:
         links = {(int(f.targets[k]), int(f.sources[k])): (f, k) for v in agreeing for f, k in v.links}
         self.closings.close(list(links.values()))
         return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _step_variances(told: Array, odometry_information: Array, travel: float) -> tuple[float, float, float]:
+    """Variances of position and heading of a motion, and the share of the wheels in what is known of it.
+
+    `told` (3, 3) is the information of the scans. Their own error is a drift of what they are aligned with, too, which
+    the wheels may bound. The share is that along the direction that is known least: 1 in a bare corridor.
+    """
+    values, axes = eigen(told)
+    for k in range(3):
+        values[k] = max(values[k], 0.0)
+    told, root = (
+        in_axes(values, axes),
+        (math.sqrt(travel) * _DRIFT_M, math.sqrt(travel) * _DRIFT_M, math.sqrt(travel) * _DRIFT_RAD),
+    )
+    # With the root R of the drift D, told (1 + D told)^-1 = told - told R (1 + R told R)^-1 R told.
+    information, bounded = added(told, odometry_information), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            bounded[i, j] = root[i] * told[i, j] * root[j] + (i == j)
+    inner = inverse_covariance(bounded)
+    for i in range(3):
+        for j in range(3):
+            for p in range(3):
+                for q in range(3):
+                    information[i, j] -= told[i, p] * root[p] * inner[p, q] * root[q] * told[q, j]
+    cov = inverse_covariance(symmetrized(information))
+    position, c, s = largest_variance(cov)
+    wheels = odometry_information
+    share = (c * c * wheels[0, 0] + c * s * (wheels[0, 1] + wheels[1, 0]) + s * s * wheels[1, 1]) * position
+    return position, cov[2, 2], share
 
 
 class OldPass(NamedTuple):

@@ -68,3 +68,16 @@ def test_changes_are_those_since_a_revision() -> None:
     assert changes.since(before) == Box(0, 2, 3, 9) and changes.since(middle) == Box(0, 5, 2, 9)
     changes.add_all()
     assert changes.since(middle) is None and changes.since(changes.revision) == Box(0, 0, 0, 0)
+
+
+def test_the_cells_of_a_mask_are_found_in_any_box_by_rows() -> None:
+    rng, tiles = np.random.default_rng(5), Tiles()
+    tiles.cover(Box(-70, -33, 140, 205))
+    tiles.allocate(np.argwhere(rng.random(tiles.index.shape) < 0.6))
+    mask, values = rng.random(len(tiles.squares) * TILE**2) < 0.02, rng.integers(0, 90, len(tiles.squares) * TILE**2)
+    for _ in range(60):
+        (top, bottom), (left, right) = np.sort(rng.integers(-120, 190, 2)), np.sort(rng.integers(-90, 250, 2))
+        box = Box(int(top), int(left), int(bottom) + 1, int(right) + 1)
+        rows, cols, at = tiles.where(mask, box).T
+        assert np.array_equal(np.stack([rows, cols]), np.nonzero(tiles.part(mask, box)))
+        assert np.array_equal(values[at], tiles.part(values, box)[rows, cols])
