@@ -103,6 +103,11 @@ def _noise_not_turned(at: Pose, P: Array, z: Array, R: Array) -> tuple[Array, Ar
     return mean, made
 
 
+def _carried(at: Pose, P: Array, point: Array, R: Array) -> tuple[Array, Array]:
+    mean, made = _augmented(at, P, point, R)
+    return mean, made[3:, 3:]
+
+
 def _turn_of_world(at: Pose, landmarks: Array) -> Array:
     turned = [(-y, x) for x, y in landmarks]
     return np.array([-at.y, at.x, 1.0, *np.ravel(turned)])
@@ -322,6 +327,29 @@ EXERCISES = (
             Mistake("the noise of the observation is missing", lambda a, P, z, R: _augmented(a, P, z, 0.0 * R)),
             Mistake(
                 "the landmark is turned the wrong way", lambda a, P, z, R: _augmented(Pose(a.x, a.y, -a.theta), P, z, R)
+            ),
+        ),
+    ),
+    Exercise(
+        "carried",
+        ("point", "covariance"),
+        lambda rng: (pose(rng), cov(rng, 3), rng.uniform(-3.0, 3.0, 2), cov(rng, 2, 0.2)),
+        _carried,
+        (
+            Mistake(
+                "the point's covariance is not turned into the map's axes",
+                lambda a, P, p, R: (_carried(a, P, p, R)[0], _carried(a, P, p, 0.0 * R)[1] + R),
+            ),
+            Mistake(
+                "the pose is uncertain, too",
+                lambda a, P, p, R: (_carried(a, P, p, R)[0], _carried(a, 0.0 * P, p, R)[1]),
+            ),
+            Mistake(
+                "the heading's error moves the point, too",
+                lambda a, P, p, R: (_carried(a, P, p, R)[0], P[:2, :2] + _carried(a, 0.0 * P, p, R)[1]),
+            ),
+            Mistake(
+                "the point is turned the wrong way", lambda a, P, p, R: _carried(Pose(a.x, a.y, -a.theta), P, p, R)
             ),
         ),
     ),

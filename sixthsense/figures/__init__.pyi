@@ -1,3 +1,5 @@
+from .calibration import draw_observation_errors as draw_observation_errors
+from .calibration import draw_propagation_errors as draw_propagation_errors
 from .canvas import draw_truth as draw_truth
 from .canvas import legend as legend
 from .canvas import new_axes as new_axes
@@ -29,6 +31,7 @@ from .plot import draw_segments as draw_segments
 from .plot import draw_walls_at as draw_walls_at
 from .plot import draw_way as draw_way
 from .plot import ellipse as ellipse
+from .plot import new_figure as new_figure
 from .plot import walker_outlines as walker_outlines
 from .recording import Recording as Recording
 from .recording import features_of as features_of

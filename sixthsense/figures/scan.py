@@ -25,7 +25,6 @@ from sixthsense.figures.plot import (
     ellipse,
     label_plane,
 )
-from sixthsense.slam.estimators import Estimator
 from sixthsense.slam.features import Features
 from sixthsense.slam.features.partition import Indices
 from sixthsense.sources.scene import Scene
@@ -111,20 +110,21 @@ def draw_wall_bands(ax: Any, pose: Pose, observations: Sequence[Observation], en
 
 
 def draw_state(
-    ax: Any, estimator: Estimator, color: str = ESTIMATE, label: str | None = None, enlarged: float = 1.0
+    ax: Any, mean: Array, cov: Array, color: str = ESTIMATE, label: str | None = None, enlarged: float = 1.0
 ) -> None:
-    """Draw the 95 % ellipses of the position (filled) and of all point landmarks, `enlarged` by a factor."""
+    """Draw the 95 % ellipses of the position (filled) and of all point landmarks, `enlarged` by a factor.
+
+    The state is one Gaussian: `mean` (3 + 2n,) of x, y, theta and the n points, world frame, and its covariance.
+    """
     from matplotlib.collections import PolyCollection
 
-    estimate = estimator.estimate()
-    means = estimate.landmarks[~estimate.walls]
-    covs = landmark_covariances(estimator.joint_covariance(estimate.ids[~estimate.walls].tolist()))
-    outlines = [ellipse(mean, enlarged**2 * cov) for mean, cov in zip(means, covs, strict=True)]
-    own = ellipse(estimate.pose.position, enlarged**2 * estimate.pose_cov[:2, :2])
+    points = mean[3:].reshape(-1, 2)
+    outlines = [ellipse(at, enlarged**2 * own) for at, own in zip(points, landmark_covariances(cov), strict=True)]
+    own = ellipse(mean[:2], enlarged**2 * cov[:2, :2])
     ax.fill(own[:, 0], own[:, 1], color=color, alpha=0.25, linewidth=0.0, zorder=9)
     ax.plot(own[:, 0], own[:, 1], color=color, linewidth=1.2, zorder=9.5, label=label)
     ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=color, linewidths=1.2, zorder=6))
-    ax.scatter(means[:, 0], means[:, 1], s=5.0, color=color, linewidths=0.0, zorder=6)
+    ax.scatter(points[:, 0], points[:, 1], s=5.0, color=color, linewidths=0.0, zorder=6)
     label_plane(ax)
 
 

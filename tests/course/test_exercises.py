@@ -3,7 +3,9 @@
 import ast
 import json
 import re
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
+from sixthsense.course import check
 from sixthsense.course.checking import examine, exercises
 from sixthsense.course.exercise import Exercise
 
@@ -57,6 +60,16 @@ def answer_of(source: str, task: Task) -> Any:
     return known[name]
 
 
+def test_every_exercise_of_the_table_stands_in_one_notebook() -> None:
+    found = [task.name for notebook in NOTEBOOKS for task in tasks_of(notebook)]
+    assert sorted(found) == sorted(exercises())
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: str(file.stem))
+def test_a_notebook_has_cells_to_fill_in(notebook: Path) -> None:
+    assert len(list(tasks_of(notebook))) >= 2
+
+
 @pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
 def test_the_solution_of_a_notebook_is_right(task: Task) -> None:
     assert examine(task.name, answer_of(task.solution, task)) == ""
@@ -100,9 +113,34 @@ def changed(source: str) -> Iterator[str]:
         yield ast.unparse(tree)
 
 
+MOST_LINES = 100_000
+"""of an answer: one with a wrong sign may never end"""
+
+
+@contextmanager
+def lines_limited() -> Iterator[None]:
+    """Raises RuntimeError in an answer that goes on and on."""
+    count = 0
+
+    def line(frame: Any, event: str, _: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count > MOST_LINES:
+            raise RuntimeError("no end")
+        return line
+
+    before = sys.gettrace()
+    sys.settrace(lambda frame, event, _: line if frame.f_code.co_filename == "<string>" else None)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
 EQUIVALENT = {
     "rigid": 2,  # one of the two middles may stay: sums of products with the other, centred set do not change
     "pose graph": 1,  # pi or -pi before the modulo
+    "shortest": 2,  # the eight neighbours in another order
 }
 """how many of the changes leave a solution right"""
 
@@ -119,6 +157,117 @@ def test_a_solution_with_one_sign_or_one_transpose_wrong_is_refused(task: Task) 
             answer = answer_of(source, task)
         except Exception:  # it does not even define
             continue
-        if not examine(task.name, answer):
+        with lines_limited():
+            fault = examine(task.name, answer)
+        if not fault:
             accepted.append(source)
     assert len(accepted) == EQUIVALENT.get(task.name, 0), accepted
+
+
+# Of a part that is to be written: what stands in the solution, what takes its place, and what is said of it.
+WRONG_PARTS = [
+    (
+        "EKF-SLAM",
+        "noise = turn @ odometry.cov @ turn.T",
+        "noise = odometry.cov",
+        "joint covariance of batch least squares",
+    ),
+    ("EKF-SLAM", "observations[i].z - z", "z - observations[i].z", "sigma from the reference"),
+    ("EKF-SLAM", "self.cov[:3, :3].copy()", "self.cov[:3, :3]", "returned arrays are copies"),
+    ("explorer", "return targets[int(np.argmin(ways))]", "return None", "the other room is looked at"),
+]
+
+
+@pytest.mark.parametrize(("name", "right", "wrong", "said"), WRONG_PARTS)
+def test_a_part_with_a_mistake_is_refused_by_the_law_that_it_breaks(
+    name: str, right: str, wrong: str, said: str
+) -> None:
+    task = TASKS[name]
+    assert right in task.solution
+    fault = examine(name, answer_of(task.solution.replace(right, wrong), task))
+    assert said in fault and re.match(r"it breaks \d+ of \d+ laws", fault)
+
+
+ANSWERS = {
+    "an angle that is not wrapped": (
+        "body axes",
+        lambda cov, theta: reference("body axes")(cov, theta) + 2.0 * np.pi,
+        "whole turns",
+    ),
+    "a sign": ("fuse", lambda *given: tuple(-part for part in reference("fuse")(*given)), "wrong sign"),
+    "a transposed matrix": ("first estimates", lambda a, b: reference("first estimates")(a, b).T, "transposed"),
+    "a factor": ("rigid", lambda a, b: 1.5 * reference("rigid")(a, b), "1.5 times"),
+    "another shape": ("nees", lambda e, P: reference("nees")(e, P)[:, None], "the shape (4, 1), and (4,) is asked for"),
+    "too few results": (
+        "update",
+        lambda *given: reference("update")(*given)[:1],
+        "it returns 1 results, and 2 are asked for",
+    ),
+    "an error": ("octile", lambda rows, cols: rows[0], "it raises TypeError"),
+    "a number that is not finite": (
+        "weights",
+        lambda logs: np.full(len(logs), np.nan),
+        "8 of 8 numbers that are not finite",
+    ),
+    "one number of many": (
+        "probability",
+        lambda odds: np.append(reference("probability")(odds)[:-1], 0.3),
+        "5 of 6 numbers are right",
+    ),
+}
+
+
+def reference(name: str) -> Any:
+    exercise = exercises()[name]
+    assert isinstance(exercise, Exercise)
+    return exercise.reference
+
+
+@pytest.mark.parametrize("what", ANSWERS)
+def test_what_is_off_in_any_answer_is_said_in_words_and_numbers(what: str) -> None:
+    name, answer, said = ANSWERS[what]
+    assert said in examine(name, answer)
+
+
+def test_an_answer_that_changes_its_arguments_is_refused() -> None:
+    def predict(cov: Any, jacobian: Any, noise: Any) -> Any:
+        cov[:3] = jacobian @ cov[:3]
+        cov[:, :3] = cov[:, :3] @ jacobian.T
+        cov[:3, :3] += noise
+        return cov
+
+    assert "changes one of its arguments" in examine("predict", predict)
+
+
+def test_a_misspelt_exercise_is_named_with_the_nearest() -> None:
+    with pytest.raises(ss.InputError, match="did you mean nees"):
+        check("neees", None)
+
+
+def test_marks_are_as_nbgrader_reads_them() -> None:
+    """Schema 3 of its metadata: what its validator asks of a solution cell and of a test cell."""
+    ids = []
+    for task in TASKS.values():
+        stub, grade = (cell["metadata"]["nbgrader"] for cell in (task.stub, task.grade))
+        assert (stub["solution"], stub["grade"], stub["locked"]) == (True, False, False)
+        assert (grade["solution"], grade["grade"], grade["locked"]) == (False, True, True)
+        assert grade["points"] > 0
+        assert {one["schema_version"] for one in (stub, grade)} == {3}
+        assert {one["cell_type"] for one in (stub, grade)} == {task.stub["cell_type"]} == {task.grade["cell_type"]}
+        ids += [stub["grade_id"], grade["grade_id"]]
+    assert len(set(ids)) == len(ids)
+
+
+def test_check_prints_for_a_student_and_raises_where_nbgrader_marks(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("NBGRADER_EXECUTION", raising=False)
+    check("octile", reference("octile"))
+    check("octile", lambda rows, cols: rows + cols)
+    right, wrong = capsys.readouterr().out.splitlines()
+    assert right == "octile: right" and wrong.startswith("octile: a step to a diagonal neighbour")
+    monkeypatch.setenv("NBGRADER_EXECUTION", "autograde")
+    check("octile", reference("octile"))
+    for answer in (lambda rows, cols: rows + cols, lambda rows, cols: None):
+        with pytest.raises(AssertionError):
+            check("octile", answer)
