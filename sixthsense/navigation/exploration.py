@@ -71,19 +71,19 @@ class Exploration:
         self.driver.update_map(self._map, pose)
         self._history.add(pose, estimate.pose_cov, self._view.sees_walls(pose.position, self._sensor.reach))
         if self.state == "viewing":
-            self._go_on(grid, pose)
+            self._go_on(pose)
         elif self.state == "closing a loop" and self._history.is_certain:
             self._choose_view(pose)
         elif not self.driver.path_is_free(pose):
             self.driver.plan(pose)
 
-    def _go_on(self, grid: Grid, pose: Pose) -> None:
+    def _go_on(self, pose: Pose) -> None:
         """Go on with a view: until its cells are seen, its path is blocked, or the pose becomes uncertain."""
         waits = self._turning and self._target is NO_TARGET
         seen_more = self._has_seen_more or self._history.is_much_less_certain
         if self._history.needs_loop_closure and seen_more and not waits and self._close_loop(pose):
             return
-        if self._target.is_seen(grid) and not waits:
+        if self._target.is_seen(self._view) and not waits:
             self._has_seen_more |= self._target is not NO_TARGET
             self._choose_view(pose)
         elif not self._turning and not self.driver.path_is_free(pose):

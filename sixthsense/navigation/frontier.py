@@ -99,14 +99,14 @@ def smallest_regions(unseen: Bools, edge: Cells, max_cells: float) -> Nodes:
 
     Regions are connected edge to edge. One without a cell of `edge` (N, 2) beside it is not visible and does not count.
     """
-    found: list[Nodes] = [np.zeros(0, dtype=np.int64)]
-    left = max_cells
-    for region in small_regions(unseen, edge, math.floor(max_cells)):
-        left -= len(region)
-        if left < 0:
-            break
-        found.append(region)
-    return np.concatenate(found)
+    cells, ends = small_regions(unseen, edge, math.floor(max_cells))
+    if len(ends) == 0:
+        return cells
+    sizes = np.diff(ends, prepend=0)
+    order = np.lexsort((np.minimum.reduceat(cells, ends - sizes), sizes))  # of equals the first, row by row
+    is_small = np.zeros(len(sizes), dtype=np.bool_)
+    is_small[order[np.cumsum(sizes[order]) <= max_cells]] = True
+    return np.asarray(cells[np.repeat(is_small, sizes)])
 
 
 def frontier_clusters(edge: Cells, tile: int) -> list[Cells]:

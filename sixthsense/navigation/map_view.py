@@ -201,6 +201,14 @@ class MapView:
         counts[rows[missed], cols[missed]] += 1
         self._due = _joined(self._due, box_of(cells))
 
+    def unknown_share(self, cells: Cells) -> float:
+        """Which share of (N, 2) cells, from the world's origin, is unknown as `wanted` has it; 0 of none."""
+        if len(cells) == 0:
+            return 0.0
+        box = box_of(cells).grown(self._spread)
+        known = self._known(box)[2]
+        return float(np.mean(~known[cells[:, 0] - box.top, cells[:, 1] - box.left]))
+
     def forget_attempts(self) -> None:
         """Begin to count as if no viewpoint had been tried."""
         self._attempts[:] = 0
@@ -294,12 +302,10 @@ class MapView:
         part, inner, spread_by = (rows, cols), self._box(rows, cols), 2 * self._spread
         outer = inner.grown(spread_by)
         own = slice(spread_by, spread_by + rows.stop - rows.start), slice(spread_by, spread_by + cols.stop - cols.start)
-        seen, hits, passes = (self.grid.part(name, outer) for name in ("seen", "hits", "passes"))
-        wall = (hits >= _WALL_HITS) & (passes <= _WALL_PASSES * hits)
-        opaque = closed = close_unseen_gaps(close_gaps(self.grid.part("obstacles", outer) | wall), seen, self._width)
+        seen, closed, known = self._known(outer)
+        opaque = closed
         for _ in range(self._sight_margin):
             opaque = dilated(opaque)
-        known = close_unseen_gaps(seen | closed, seen, self._between_beams)
         unknown, free = ~known, seen & ~closed
         attempts = _moved(self._attempts, self.frame, outer)
         wanted = self._area.to_see(unknown, outer, attempts)[own]
@@ -313,6 +319,13 @@ class MapView:
         kept = (old_rows < rows.start) | (old_rows >= rows.stop) | (old_cols < cols.start) | (old_cols >= cols.stop)
         cells = np.concatenate([self.edge[kept], edge])
         self.edge = cells[np.argsort(cells[:, 0] * self.shape[1] + cells[:, 1])]
+
+    def _known(self, box: Box) -> tuple[Bools, Bools, Bools]:
+        """(H, W) the cells of a box that were seen, those of closed walls, and both with what is between two beams."""
+        seen, hits, passes = (self.grid.part(name, box) for name in ("seen", "hits", "passes"))
+        wall = (hits >= _WALL_HITS) & (passes <= _WALL_PASSES * hits)
+        closed = close_unseen_gaps(close_gaps(self.grid.part("obstacles", box) | wall), seen, self._width)
+        return seen, closed, close_unseen_gaps(seen | closed, seen, self._between_beams)
 
     def _box(self, rows: slice, cols: slice) -> Box:
         """The box of some rows and columns of the masks."""

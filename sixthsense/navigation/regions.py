@@ -115,15 +115,12 @@ def _in_large_regions(free: Bools, cells: Cells, least: int, here: tuple[int, in
     return is_large
 
 
-def small_regions(mask: Bools, beside: Cells, most: int) -> list[Nodes]:
-    """The regions of `mask` of at most `most` cells that share an edge with one of `beside`; by size, then row by row.
+def small_regions(mask: Bools, beside: Cells, most: int) -> tuple[Nodes, Nodes]:
+    """The regions of `mask` of at most `most` cells that share an edge with one of `beside`.
 
-    Flat indices of their cells, in no order.
+    Flat indices of their cells, region after region, and (R,) where each ends.
     """
-    marks = np.zeros(mask.shape, dtype=np.uint8)
-    cells, ends = _small_regions(mask, beside, most, marks)
-    regions = [cells[a:b] for a, b in zip([0, *ends[:-1]], ends, strict=True)] if len(ends) else []
-    return sorted(regions, key=lambda region: (len(region), int(region.min())))
+    return _small_regions(mask, beside, most, np.zeros(mask.shape, dtype=np.uint8))
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +20,6 @@ from sixthsense.navigation.tour import TileWays, view_order
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.navigation.views import KnownViews, View, ViewGain
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.grid import Grid
 
 IGNORED_AREA_FRACTION = 0.001
 """of the area seen: small unseen areas, the smallest first, that are together no larger are not worth a way"""
@@ -38,9 +38,9 @@ class Target:
     tour: Cells = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     """(K, 2) the stops of the tour that begins with it; empty for one that no tour has chosen"""
 
-    def is_seen(self, grid: Grid) -> bool:
+    def is_seen(self, view: MapView) -> bool:
         """Whether little of it is still unknown."""
-        return bool(np.count_nonzero(grid.unknown(self.cells)) <= _SEEN_FRACTION * len(self.cells))
+        return view.unknown_share(self.cells) <= _SEEN_FRACTION
 
 
 NO_TARGET = Target(np.zeros((0, 2), dtype=np.int64), (0, 0))
@@ -116,11 +116,7 @@ class ViewPlanner:
     def best(self, candidates: Candidates) -> Target | None:
         """The first stop of a short tour through the views; None if all that is visible together is dust."""
         view = self.view
-        found = [
-            (cells, *seen_from)
-            for cells in candidates.clusters
-            if (seen_from := self.view_beside(candidates.wanted, cells))
-        ]
+        found = [(cells, *seen_from) for cells, seen_from in self._some_views(candidates)]
         keys = [self.key(centre_cell(cells)) for cells, *_ in found]
         found = [found[k] for k in self.known.worthwhile(keys, candidates.dust)]
         if not found:
@@ -129,6 +125,26 @@ class ViewPlanner:
         order = view_order(self.ways, here, views, view.cell(self.home))
         target = self.target_of(candidates.wanted, *found[order[0]][:2])
         return replace(target, tour=views[order] + np.array(view.first))
+
+    def _some_views(self, candidates: Candidates) -> list[tuple[Cells, tuple[Cell, int]]]:
+        """The clusters that have a view, with the view and how many cells it shows; far off, not all of one square.
+
+        There beams cut a frontier into many pieces. After the largest one in a square whose view shows more than may
+        be left, the others wait: what that view leaves of them is looked at afterwards.
+        """
+        found, done = [], set()
+        first, here, reach = (
+            np.array(self.view.first),
+            self.view.cell(self.pose.position),
+            self.gain.sensor.gapless_reach,
+        )
+        for cells in sorted(candidates.clusters, key=len, reverse=True):
+            square = tuple(((cells[0] + first) // self.tile).tolist())
+            if square not in done and (seen_from := self.view_beside(candidates.wanted, cells)):
+                found.append((cells, seen_from))
+                if seen_from[1] > candidates.dust and math.dist(cells[0], here) > reach:
+                    done.add(square)
+        return found
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The target nearest to a random cell of the largest unseen area with a visible cluster (the report's idea)."""

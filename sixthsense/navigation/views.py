@@ -82,7 +82,7 @@ class KnownViews:
         them changes. Else small views would take turns, and the robot would cross the building for each.
         """
         shown = [self._views[cell].shown for cell in cells]
-        spare = dust - sum(count for cell, count in zip(cells, shown, strict=True) if cell in self._ignored)
+        spare = dust - self.shown_by_ignored
         kept = []
         for k in sorted(range(len(cells)), key=shown.__getitem__):
             if cells[k] in self._ignored:

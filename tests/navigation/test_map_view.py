@@ -103,6 +103,10 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     assert np.array_equal(view.blocked, (near <= RADIUS_M) | far_from(seen, 4) | outside)
     assert np.array_equal(view.tight, grid.inflated(frame, BUFFER_M - CONFIG.grid.clearance_m))
     assert np.array_equal(view.passable, seen & ~view.blocked)
+    cells = np.argwhere(known | unknown)[7::13] + np.array(view.first)
+    assert view.unknown_share(cells) == pytest.approx(np.mean(unknown.ravel()[7::13]), abs=1e-12)
+    between = np.argwhere(known & unseen) + np.array(view.first)
+    assert len(between) > 9 and view.unknown_share(between) == 0.0
 
 
 def test_changes_are_told_where_obstacles_wanted_and_reached_cells_differ() -> None:

@@ -289,14 +289,6 @@ class Grid:
         """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""
         return self._tiles.part(getattr(self._cells, name), box)
 
-    def unknown(self, cells: NDArray[np.int64]) -> Bools:
-        """(N,) which of the cells (N, 2), row, col from the world's origin, are neither seen nor obstacles."""
-        if len(cells) == 0:
-            return np.zeros(0, dtype=np.bool_)
-        box = box_of(cells)
-        known = self.part("seen", box) | self.part("obstacles", box)
-        return np.asarray(~known[cells[:, 0] - box.top, cells[:, 1] - box.left])
-
     @property
     def inflation_m(self) -> float:
         """From the centre of a free cell to the square of an obstacle cell, at least."""
