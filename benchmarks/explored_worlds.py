@@ -2,6 +2,7 @@
 
     SIXTHSENSE_DATA=FOLDER python benchmarks/explored_worlds.py --keep             # interrupted, the same resumes
     python benchmarks/explored_worlds.py --rows perfect                            # runs whose key begins so
+    SIXTHSENSE_DATA=FOLDER python benchmarks/explored_worlds.py --rows houses --keep  # a group has a table of its own
 
 - `perfect`: odometry without errors, from two places each, the begins of two tours of `worlds.py`. The travel is
   compared with that of a robot which drives to the nearest frontier (`nearest_frontier.py`).
@@ -288,8 +289,10 @@ def _door(runs: Sequence[Figures]) -> tuple[str, bool]:
 
 
 def main() -> int:
-    options = parsed(arguments(__doc__), minutes=1e9)
-    return resumable(lambda: tabulate("explored_worlds", options, cases(), figures_of, lines, CODE))
+    options, every, name = parsed(arguments(__doc__), minutes=1e9), cases(), "explored_worlds"
+    if len(options.rows) == 1 and (group := [case for case in every if case.kind == options.rows[0]]):
+        every, name, options.rows = group, f"explored_{options.rows[0]}", []
+    return resumable(lambda: tabulate(name, options, every, figures_of, lines, CODE))
 
 
 if __name__ == "__main__":
