@@ -216,6 +216,15 @@ def default_options(factory: Any) -> Any:
     return None if cls is None else cls()
 
 
+def make_part(parts: Parts, part: Any, *args: Any, options: Any = None) -> Any:
+    """A part of a kind, by its name or its class, made with arguments; `options` are by default its own.
+
+    Raises InputError that lists the known names for any other.
+    """
+    factory = parts.load(part) if isinstance(part, str) else part
+    return Part(parts.kind, factory, options or default_options(factory)).make(*args)
+
+
 def part_options(kind: str, factory: Any, given: Mapping[str, Any]) -> Any:
     """The options of a part with the values that are given, checked by the annotations of its dataclass."""
     cls, where = options_class(factory), f"{kind}_options"

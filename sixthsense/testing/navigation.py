@@ -10,7 +10,7 @@ import numpy as np
 
 from sixthsense.config import preset
 from sixthsense.config.parts import EXPLORERS
-from sixthsense.config.tree import Part, default_options
+from sixthsense.config.tree import make_part
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
@@ -161,7 +161,7 @@ def _explored(part: Any) -> _Watched:
     paths = PathPlanner(make_planner("astar"), config)
     task = ExplorationTask(pose.position, _ROOMS, _RADIUS_M, paths, config, np.random.default_rng(4))
     exploration = Exploration(task, grid, Estimate.of_pose(pose, np.zeros((3, 3))))
-    watched = _Watched(explorer_of(part, np.random.default_rng(7)))
+    watched = _Watched(make_part(EXPLORERS, part, np.random.default_rng(7)))
     exploration.explorer = watched
     for _ in range(_MOST_CHOICES):
         exploration.look(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
@@ -210,10 +210,3 @@ def the_same_map_and_generator_give_the_same_targets(part: Any) -> None:
 @EXPLORER_LAWS.law
 def the_view_stays_as_it_is(part: Any) -> None:
     assert not _explored(part).has_changed_its_view, "found masks of the view that were written to"
-
-
-def explorer_of(part: Any, rng: np.random.Generator) -> Explorer:
-    """An explorer by its name or its class."""
-    factory = EXPLORERS.load(part) if isinstance(part, str) else part
-    made: Explorer = Part("explorer", factory, default_options(factory)).make(rng)
-    return made

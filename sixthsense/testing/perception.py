@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from sixthsense.config import Config, preset
 from sixthsense.config.parts import EXTRACTORS, FRONT_ENDS
-from sixthsense.config.tree import Part, default_options
+from sixthsense.config.tree import make_part
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
@@ -45,9 +45,8 @@ _FALSE_ALARM = 1e-3
 
 def extractor_of(part: Any, config: Config) -> Extractor:
     """An extractor by its name or its class."""
-    factory = EXTRACTORS.load(part) if isinstance(part, str) else part
-    options = config.features if part == "lines" else default_options(factory)
-    made: Extractor = Part("extractor", factory, options).make(config.assumed, random_streams(4).ransac)
+    options = config.features if part == "lines" else None
+    made: Extractor = make_part(EXTRACTORS, part, config.assumed, random_streams(4).ransac, options=options)
     return made
 
 
@@ -161,9 +160,8 @@ def _driven(part: Any, seed: int, count: int = 400) -> Driven:
     tick, start, cov = world.step(Command()), Pose(-2.2, -0.1, 0.3), np.zeros((3, 3))
     estimator = make_estimator("isam2", start, cov, config.isam2)
     motion, faults, keyframes = make_motion(config, estimator), list[str](), 0
-    factory = FRONT_ENDS.load(part) if isinstance(part, str) else part
     setup = FrontEndSetup(config, estimator, start, Associator(config.association), motion)
-    front_end: FrontEnd = Part("front_end", factory, default_options(factory)).make(setup)
+    front_end: FrontEnd = make_part(FRONT_ENDS, part, setup)
     poses, truths, last = list[Array](), list[Array](), None
     while tick is not None and len(poses) < count:
         increment = None

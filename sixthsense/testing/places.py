@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import preset
 from sixthsense.config.parts import PLACE_SEARCHES
-from sixthsense.config.tree import Part, default_options
+from sixthsense.config.tree import make_part
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
@@ -18,7 +18,6 @@ from sixthsense.slam.scans.place_search import (
     Candidate,
     ExpectedPoses,
     PlaceQuery,
-    PlaceSearch,
     candidates_fault,
     is_same_place,
     surfaces_around,
@@ -113,15 +112,8 @@ class Places:
         return PlaceQuery(self, self.key, self.travelled_m, self, expected, 0.5)
 
 
-def search_of(part: Any) -> PlaceSearch:
-    """A place search by its name or its class."""
-    factory = PLACE_SEARCHES.load(part) if isinstance(part, str) else part
-    made: PlaceSearch = Part("place_search", factory, default_options(factory)).make()
-    return made
-
-
 def _answers(part: Any) -> list[tuple[Places, list[Candidate]]]:
-    search, found = search_of(part), []
+    search, found = make_part(PLACE_SEARCHES, part), list[tuple[Places, list[Candidate]]]()
     for room in _ROOMS:
         for again in _AGAIN:
             places = Places(room, again)
@@ -157,7 +149,7 @@ def where_nothing_is_known_nothing_is_proposed(part: Any) -> None:
     query = places.query()
     empty = _Nothing(places)
     expected = ExpectedPoses.anywhere(0)
-    assert len(search_of(part).propose(query._replace(places=empty, expected=expected))) == 0
+    assert len(make_part(PLACE_SEARCHES, part).propose(query._replace(places=empty, expected=expected))) == 0
 
 
 class _Nothing:
@@ -188,6 +180,6 @@ def the_same_query_gives_the_same_candidates(part: Any) -> None:
 def the_scans_stay_as_they_are(part: Any) -> None:
     places = Places(2, _AGAIN[1])
     points, poses = places.store.returns.points.copy(), places.poses.copy()
-    search_of(part).propose(places.query())
+    make_part(PLACE_SEARCHES, part).propose(places.query())
     assert np.array_equal(places.store.returns.points, points)
     assert np.array_equal(places.poses, poses)

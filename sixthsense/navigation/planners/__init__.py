@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config.parts import PLANNERS as PARTS
-from sixthsense.config.tree import Part, default_options
+from sixthsense.config.tree import make_part
 from sixthsense.navigation.planners.base import Plan, Planner
 
 __all__ = ["PLANNERS", "Plan", "Planner", "PlannerFactory", "make_planner"]
@@ -27,7 +27,5 @@ def make_planner(planner: str | PlannerFactory, rng: np.random.Generator | None 
     `rng` is by default one with seed 0; `options` are an object of the planner's `Options`, by default one without
     arguments.
     """
-    factory = PARTS.load(planner) if isinstance(planner, str) else planner
-    part = Part("planner", factory, options or default_options(factory))
-    made: Planner = part.make(rng or np.random.default_rng(0))
+    made: Planner = make_part(PARTS, planner, rng or np.random.default_rng(0), options=options)
     return made

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from sixthsense.config.parts import ESTIMATORS as PARTS
-from sixthsense.config.tree import Part, default_options
+from sixthsense.config.tree import make_part
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.slam.estimators.base import Estimate, Estimator, Filter, LandmarkPrior, Link, Smoother
 
@@ -36,6 +36,5 @@ def make_estimator(estimator: str | EstimatorFactory, start: Pose, start_cov: Ar
     `start_cov` (3, 3), world frame, m and rad, may be zero; `options` are an object of the estimator's `Options`, by
     default one without arguments. Raises InputError that lists the known names.
     """
-    factory = PARTS.load(estimator) if isinstance(estimator, str) else estimator
-    made: Estimator = Part("estimator", factory, options or default_options(factory)).make(start, start_cov)
+    made: Estimator = make_part(PARTS, estimator, start, start_cov, options=options)
     return made
