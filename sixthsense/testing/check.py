@@ -17,7 +17,7 @@ from sixthsense.testing import contract, edges, posterior, walls
 from sixthsense.testing.estimation import make
 from sixthsense.testing.laws import Verdicts, verdicts_of
 
-LAWS = (*posterior.LAWS, *contract.LAWS, *edges.LAWS, *walls.LAWS, *edges.VALIDATION, *walls.VALIDATION)
+LAWS = (*posterior.LAWS, *contract.LAWS, *edges.LAWS, *walls.LAWS, *walls.WALLS, *edges.VALIDATION, *walls.VALIDATION)
 """of estimators"""
 
 

@@ -37,27 +37,18 @@ class Law:
 
 
 class Laws(list[Law]):
-    """Laws of one group, in the order of their definition."""
+    """Laws of one group, in the order of their definition; their checks may use walls."""
 
-    def __init__(self, group: Group = "interface") -> None:
+    def __init__(self, group: Group = "interface", needs_walls: bool = False) -> None:
         super().__init__()
-        self._group = group
+        self._group, self._needs_walls = group, needs_walls
 
     def law(self, check: Check) -> Check:
         """Decorate a check, which is called with the name of an implementation."""
-        self.append(Law(check.__name__, check, group=self._group))
+        self.append(Law(check.__name__, check, self._needs_walls, self._group))
         return check
 
-    def wall_law(self, check: Check) -> Check:
-        """Decorate a check that uses walls."""
-        self.append(Law(check.__name__, check, True, self._group))
-        return check
-
-    def wall_law_for(self, cases: Collection[Any]) -> Callable[[Check], Check]:
-        """Decorate a check that uses walls in each of the cases."""
-        return self.law_for(cases, needs_walls=True)
-
-    def law_for(self, cases: Collection[Any], needs_walls: bool = False) -> Callable[[Check], Check]:
+    def law_for(self, cases: Collection[Any]) -> Callable[[Check], Check]:
         """Decorate a check, which is called with the name of an implementation and each of the cases.
 
         A case may have the attributes `label`, for the law's name, and `needs_walls`.
@@ -66,7 +57,7 @@ class Laws(list[Law]):
         def add(check: Check) -> Check:
             for k, case in enumerate(cases):
                 label = case if isinstance(case, str | float) else getattr(case, "label", k)
-                walls = needs_walls or bool(getattr(case, "needs_walls", False))
+                walls = self._needs_walls or bool(getattr(case, "needs_walls", False))
                 self.append(Law(f"{check.__name__} [{label}]", partial(_check_case, check, case), walls, self._group))
             return check
 

@@ -27,7 +27,8 @@ from sixthsense.testing.posterior import (
     reference_of,
 )
 
-LAWS, VALIDATION = Laws(), Laws("validation")
+LAWS = Laws()
+WALLS, VALIDATION = Laws(needs_walls=True), Laws("validation", needs_walls=True)
 
 BAD_WALLS = {
     "landmark 7: found z": ([np.nan, -2.0], [[0.01, 0.0], [0.0, 0.01]]),
@@ -55,7 +56,7 @@ def a_scan_with_a_wall_is_used_or_refused_as_a_whole(name: str) -> None:
         assert estimator.estimate().ids.tolist() == [*before[0].ids.tolist(), 9]
 
 
-@LAWS.wall_law
+@WALLS.law
 def a_new_wall_is_initialized_from_its_observation(name: str) -> None:
     estimator = driven(name, BOTH)
     estimator.predict(MOTION)
@@ -76,7 +77,7 @@ def a_new_wall_is_initialized_from_its_observation(name: str) -> None:
     assert np.abs((joint - expected) / np.outer(scale, scale)).max() < 1e-4
 
 
-@LAWS.wall_law
+@WALLS.law
 def a_wall_is_returned_as_a_wall(name: str) -> None:
     estimate = driven(name, BOTH).estimate()
     expected = [BOTH.kinds[i] == Kind.WALL for i in estimate.ids]
@@ -85,7 +86,7 @@ def a_wall_is_returned_as_a_wall(name: str) -> None:
     assert (alpha >= -math.pi).all() and (alpha < math.pi).all()
 
 
-@LAWS.wall_law
+@WALLS.law
 def an_observation_of_a_wall_with_zero_innovation_moves_nothing_and_grows_no_marginal(name: str) -> None:
     estimator = driven(name, BOTH)
     estimator.predict(MOTION)
@@ -101,7 +102,7 @@ def an_observation_of_a_wall_with_zero_innovation_moves_nothing_and_grows_no_mar
     assert np.linalg.eigvalsh(0.5 * (shrunk + shrunk.T)).min() > -1e-4
 
 
-@LAWS.wall_law
+@WALLS.law
 def the_innovation_of_a_wall_is_wrapped(name: str) -> None:
     """The predicted angle and the observation's are on the two sides of a half turn."""
     estimator = make(name, Pose(), START_COV)
@@ -113,7 +114,7 @@ def the_innovation_of_a_wall_is_wrapped(name: str) -> None:
     assert_agrees(estimator, corrected(prior, observations))
 
 
-@LAWS.wall_law_for([Pose(0.0, 0.0, 2.5), Pose(-8.0, 5.0, -1.2)])
+@WALLS.law_for([Pose(0.0, 0.0, 2.5), Pose(-8.0, 5.0, -1.2)])
 def moving_the_world_moves_walls_with_it(name: str, transform: Pose) -> None:
     log = drive(BOTH, 6)[0]
     plain = reference_of(driven(name, BOTH))
@@ -134,7 +135,7 @@ def moving_the_world_moves_walls_with_it(name: str, transform: Pose) -> None:
     assert_agrees(moved, Posterior(plain.ids, mean, T @ plain.cov @ T.T, plain.angles))
 
 
-@LAWS.wall_law
+@WALLS.law
 def the_joint_covariance_of_points_and_walls_is_in_the_requested_order(name: str) -> None:
     estimator = driven(name, BOTH)
     estimate, joint = joint_state(estimator)
@@ -147,7 +148,7 @@ def the_joint_covariance_of_points_and_walls_is_in_the_requested_order(name: str
         assert gap <= max(family(name).rounding, 1e-12) * np.abs(joint).max()
 
 
-@LAWS.wall_law
+@WALLS.law
 def forgetting_a_wall_leaves_the_others_unchanged(name: str) -> None:
     """A smoother also removes the observations of the forgotten wall."""
     estimator = driven(name, BOTH)
@@ -165,7 +166,7 @@ def forgetting_a_wall_leaves_the_others_unchanged(name: str) -> None:
     assert_agrees(estimator, Posterior(left, before.mean[index], cov, before.angles[index]))
 
 
-@VALIDATION.wall_law_for(BAD_WALLS)
+@VALIDATION.law_for(BAD_WALLS)
 def an_invalid_observation_of_a_wall_is_named_and_changes_nothing(name: str, fault: str) -> None:
     estimator = driven(name, BOTH)
     before = joint_state(estimator)

@@ -22,6 +22,7 @@ from sixthsense.testing.laws import Laws, raises
 from sixthsense.testing.sight import predict_points
 
 LAWS = Laws()
+WALLS = Laws(needs_walls=True)
 
 Values = Wheels | Sensor
 Parameters = ParameterEstimate[Wheels] | ParameterEstimate[Sensor]
@@ -252,7 +253,7 @@ def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(nam
     assert np.abs((estimate.cov - found.cov[wheels, wheels]) / np.outer(sigmas, sigmas)).max() < tolerance
 
 
-@LAWS.wall_law
+@WALLS.law
 def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str) -> None:
     """The drift is observed there. A drive across would observe the scale, too.
 

@@ -17,7 +17,7 @@ from sixthsense.testing import check_estimator
 from sixthsense.testing.check import LAWS
 from sixthsense.testing.estimation import CONVERGED, rotated_covariance, step
 
-CHECKS = {law.name: law.check for law in (*LAWS, *parameters.LAWS, *prior_map.LAWS, *links.LAWS)}
+CHECKS = {law.name: law.check for law in (*LAWS, *parameters.LAWS, *parameters.WALLS, *prior_map.LAWS, *links.LAWS)}
 LEAST_SQUARES = "a_drive_gives_the_posterior_of_batch_least_squares [{}]"
 FIRST_UPDATE = "the_first_update_gives_the_posterior_of_batch_least_squares [{}]"
 NEW = "new_landmarks_have_the_joint_covariance_of_batch_least_squares [{}]"

@@ -15,7 +15,7 @@ from sixthsense.testing.check import LAWS
 from sixthsense.testing.estimation import START_COV, fed, joint_state, make, noisy, sight, step
 
 SMOOTHERS = [name for name in ESTIMATORS if isinstance(make(name), Smoother)]
-OF_FILTERS = [*LAWS, *parameters.LAWS, *prior_map.LAWS]
+OF_FILTERS = [*LAWS, *parameters.LAWS, *parameters.WALLS, *prior_map.LAWS]
 
 
 @pytest.mark.parametrize("law", OF_FILTERS, ids=lambda law: law.name)
