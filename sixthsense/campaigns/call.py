@@ -15,7 +15,7 @@ from sixthsense.campaigns.cluster import Cluster, check_workers, connect
 from sixthsense.campaigns.engine import Executor, Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, check_rows, read_folder, save_folder
 from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
-from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed, run_row
+from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed, run_planned
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
@@ -61,7 +61,7 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
         known = rows.rows.read()
         check_rows(out, runs, known.values())
         done = {key for key, row in known.items() if not (execution.retry_failed and is_failed(row))}
-        missing = {key: run.config for key, run in runs.items() if key not in done}
+        missing = {key: run for key, run in runs.items() if key not in done}
         if not missing:
             save_folder(out, campaign, saved)
             execution.say(f"all {len(runs)} runs are already in {out}/")
@@ -79,8 +79,8 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
             with progress_bar(
                 execution.progress, total=len(missing), desc="campaign", unit=" runs", leave=False
             ) as bar:
-                for key, future in carry_out(executor, partial(run_row, version=__version__), missing):
-                    rows.add(_row(future, missing[key]))
+                for key, future in carry_out(executor, partial(run_planned, version=__version__), missing):
+                    rows.add(_row(future, missing[key].config))
                     bar.update()
 
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from sixthsense.campaigns.plan import AXES, config_hash, scene_digest
+from sixthsense.campaigns.plan import AXES, PlannedRun, config_hash, scene_digest
 from sixthsense.config import Config
 from sixthsense.config.parts import KINDS
 from sixthsense.config.version import __version__
@@ -95,6 +95,11 @@ def failed_row(config: Config, error: BaseException) -> dict[str, Any]:
 def is_failed(row: Mapping[str, Any]) -> bool:
     """Whether the run of a row has raised, or its worker has failed."""
     return bool(row["outcome"] == FAILED)
+
+
+def run_planned(run: PlannedRun, version: str) -> dict[str, Any]:
+    """Make a run of a plan and return its row; raises what `run_row` raises."""
+    return run_row(run.config, version)
 
 
 def one_line(error: BaseException) -> str:
