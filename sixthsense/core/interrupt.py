@@ -40,6 +40,7 @@ class CommandSignals:
         """whether the process ends with the command: later signals are ignored"""
         self._presses_s: list[float] = []
         self._is_swallowed = False
+        self._report = sys.unraisablehook
 
     def note(self, number: int) -> bool:
         """Note a signal and return whether it interrupts: SIGTERM and SIGHUP, which may be sent twice, do so once.
@@ -64,6 +65,22 @@ class CommandSignals:
         again.daemon = True
         again.start()
 
+    def dropped(self, unraisable: Any) -> None:
+        """Take in what Python has dropped, in place of its own hook, which tells of everything else."""
+        if issubclass(unraisable.exc_type, KeyboardInterrupt) and self.number and not self.is_over:
+            self.swallowed()
+        else:
+            self._report(unraisable)
+
+    def interrupt(self, frame: Any) -> None:
+        """Raise KeyboardInterrupt in a handler of a signal, or later where it would be dropped, too."""
+        while frame is not None:
+            if frame.f_code is CommandSignals.dropped.__code__:
+                self.swallowed()
+                return
+            frame = frame.f_back
+        raise KeyboardInterrupt
+
     def exit_code(self, code: int) -> int:
         """The exit code of a command that ends with `code`: 128 plus the signal that ended it, if one has."""
         ended_by_other = self.number not in (0, signal.SIGINT)
@@ -84,15 +101,9 @@ def command_signals() -> Iterator[CommandSignals]:
 
     def interrupt(number: int, frame: Any) -> None:
         if command.note(number):
-            raise KeyboardInterrupt
+            command.interrupt(frame)
 
-    def dropped(unraisable: Any) -> None:
-        if issubclass(unraisable.exc_type, KeyboardInterrupt) and command.number and not command.is_over:
-            command.swallowed()
-        else:
-            report(unraisable)
-
-    report, sys.unraisablehook = sys.unraisablehook, dropped
+    report, sys.unraisablehook = sys.unraisablehook, command.dropped
 
     command.taken = tuple(n for n in ENDING if signal.getsignal(n) not in (signal.SIG_IGN, None))
     before = {number: signal.signal(number, interrupt) for number in command.taken}
@@ -139,6 +150,9 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         now_s = time.monotonic()
         if asked or now_s - _last_s < AGAIN_S:
             _last_s = -math.inf
+            if _command is not None:
+                _command.interrupt(frame)
+                return
             raise KeyboardInterrupt
         asked, _last_s = True, now_s
 

@@ -81,6 +81,7 @@ def stop(_):
     os.kill(os.getpid(), signal.{name})
     time.sleep(0.01)
 
+{more}
 with command_signals() as signals:
     try:
         kept = Kept()
@@ -92,8 +93,24 @@ with command_signals() as signals:
 """
 
 
+PRESSING = """
+from sixthsense.core.interrupt import CommandSignals
+
+swallowed = CommandSignals.swallowed
+
+def pressing(self):
+    CommandSignals.swallowed = swallowed
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.01)
+    self.swallowed()
+
+CommandSignals.swallowed = pressing
+"""
+
+
+@pytest.mark.parametrize("more", ["", PRESSING], ids=["alone", "with another while the first is taken in"])
 @pytest.mark.parametrize("name", ["SIGTERM"])
-def test_an_interrupt_that_python_drops_in_a_finalizer_comes_again(name):
-    code = SWALLOWING.format(name=name)
+def test_an_interrupt_that_python_drops_in_a_finalizer_comes_again(name, more):
+    code = SWALLOWING.format(name=name, more=more)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=15)
     assert done.stdout == f"interrupted by {getattr(signal, name).value}\n" and done.stderr == ""
