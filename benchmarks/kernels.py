@@ -2,6 +2,7 @@
 
     python benchmarks/kernels.py                # `make bench`, 5 minutes
     python benchmarks/kernels.py --loop 5a5ab19  # whole runs instead, beside a commit; 10 minutes
+    SIXTHSENSE_DATA=FOLDER python benchmarks/kernels.py --logs f1371fe  # logs, the first use, MRPT; 10 minutes
 
 Ray casting and A* are compared with references, the EKF's update with one pass over its covariance (`ekf_scaling.py`).
 """
@@ -16,6 +17,7 @@ import numpy as np
 from ekf_scaling import LIMITS as EKF_LIMITS
 from ekf_scaling import scaling_figures
 from harness import Figures, against_limits, alternate, arguments, finish, single_threaded
+from log_speed import logs_tables
 from loop_speed import loop_table
 from numpy.typing import NDArray
 
@@ -236,7 +238,16 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--loop", metavar="REV", help="measure whole runs and their start, beside this commit")
+    parser.add_argument(
+        "--logs", metavar="REV", help="measure logs, explorations and the first use, beside this commit"
+    )
     options = parser.parse_args()
+    if options.logs is not None:
+        try:
+            finish(options, "log_speed", *logs_tables(options.logs))
+        except RuntimeError as error:
+            parser.error(f"--logs: {error}")
+        return
     if options.loop is not None:
         try:
             finish(options, "loop", loop_table(options.loop))

@@ -132,15 +132,21 @@ def _warm_up_drive() -> Trace:
     extract(deskew(tick.scan), config.assumed, config.features, rng)
     mapper = Mapper(config.grid, 0.2)
     mapper.add(0, lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
-    grid = mapper.draw()
-    grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
-    grid.compose([grid.submap()])
+    _warm_up_map(mapper.draw())
     _keep_imports()
     return trace
 
 
+def _warm_up_map(grid: Grid) -> None:
+    """Parts of a map, and one that is composed of submaps."""
+    grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
+    grid.compose([grid.submap()])
+
+
 def _warm_up_navigation() -> None:
-    """What plans and drives, on a map of true poses."""
+    """What plans and drives, on a map of true poses; and what measures a run at its end."""
+    from sixthsense.evaluation.coverage import visible_area  # here, as in `warm_up`
+
     config, rng = Config(), np.random.default_rng(0)
     source, mapper, command = World(WALLS, Pose(), 0.2, config, rng), Mapper(config.grid, 0.2), Command()
     poses = np.zeros((60, 3))
@@ -154,6 +160,8 @@ def _warm_up_navigation() -> None:
             navigator.look(mapper.draw(), Estimate.of_pose(tick.truth, 1e-6 * np.eye(3)))
         command = navigator.step(tick.truth, tick.stamp_ns)
     _warm_up_plans(mapper.grid)
+    _warm_up_map(mapper.grid)
+    visible_area(WALLS, (-3.0, -3.0, 3.0, 3.0), (0.0, 0.0), 0.2, 5.0)
 
 
 def _warm_up_plans(grid: Grid) -> None:

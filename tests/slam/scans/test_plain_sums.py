@@ -24,6 +24,7 @@ from sixthsense.slam.scans.alignment import (
     partners_of,
 )
 from sixthsense.slam.scans.links import covariances
+from sixthsense.slam.scans.loop_closures import _DRIFT_M, _DRIFT_RAD, _step_variances
 from sixthsense.slam.scans.returns import Bearings, bearings_at, fit_normals
 from sixthsense.slam.scans.visibility import SURFACE, THROUGH, UNSEEN, judged, look_at
 
@@ -185,3 +186,17 @@ def test_the_covariance_of_a_link_is_that_of_its_sums_by_hand():
         spreads = [variance * share / (2.0 * 39.0), variance * share / (2.0 * 17.0), 1e6]
         floor = 0.01 * (variance - 2e-4) + 9e-8
         assert cov == pytest.approx((axes * spreads) @ axes.T + floor * np.diag([1.0, 1.0, 1.0 / 9.0]), abs=1e-8)
+
+
+@pytest.mark.parametrize("rank", [0, 1, 2, 3])
+@pytest.mark.parametrize("travel", [0.0, 0.43, 1.9])
+def test_a_step_is_as_certain_as_scans_that_drift_and_wheels_make_it(rank: int, travel: float) -> None:
+    """By inverses of whole matrices, for scans that see nothing, one wall, two parallel ones and a room."""
+    rng = np.random.default_rng(10 * rank + 3)
+    seen, of_wheels = 30.0 * rng.normal(size=(3, rank)), rng.normal(size=(3, 3))
+    told, wheels = seen @ seen.T, 90.0 * of_wheels @ of_wheels.T + np.diag([3.0, 5.0, 7.0])
+    drift = travel * np.diag([_DRIFT_M, _DRIFT_M, _DRIFT_RAD]) ** 2
+    cov = np.linalg.inv(told @ np.linalg.inv(np.eye(3) + drift @ told) + wheels)
+    values, axes = np.linalg.eigh(cov[:2, :2])
+    share = float(axes[:, 1] @ wheels[:2, :2] @ axes[:, 1]) * values[1]
+    assert _step_variances(told, wheels, travel) == pytest.approx((values[1], cov[2, 2], share), rel=1e-9)
