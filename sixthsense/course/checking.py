@@ -32,6 +32,10 @@ def examine(name: str, answer: Any) -> str:
     known = exercises()
     if name not in known:
         raise InputError("name", f"found {name!r}", ", ".join(known), nearest(name, known))
+    if answer is None or answer is Ellipsis:
+        return UNANSWERED
+    if not callable(answer):
+        return f"this is a {type(answer).__name__}: give `check` the function itself, without a call"
     exercise = known[name]
     try:
         return exercise.judge(answer) if isinstance(exercise, Judged) else compared(exercise, answer)

@@ -239,6 +239,12 @@ def test_an_answer_that_changes_its_arguments_is_refused() -> None:
     assert "changes one of its arguments" in examine("predict", predict)
 
 
+def test_what_is_no_function_is_said_to_be_none_and_nothing_is_no_answer() -> None:
+    assert "this is a ndarray" in examine("nees", np.array([2.7, 3.4]))
+    assert examine("EKF-SLAM", None) == examine("octile", ...) == examine("nees", lambda errors, covs: None)
+    assert examine("EKF-SLAM", None).startswith(UNANSWERED)
+
+
 def test_a_misspelt_exercise_is_named_with_the_nearest() -> None:
     with pytest.raises(ss.InputError, match="did you mean nees"):
         check("neees", None)
