@@ -222,7 +222,7 @@ def main() -> int:
     known = {picture.file: picture for picture in pictures()}
     if unknown := [file for file in options.files if file not in known]:
         parser.error(f"file: found {unknown[0]!r}, allowed: {', '.join(known)}")
-    os.environ |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    os.environ |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "SIXTHSENSE_LONG": "1"}
     differing = []
     with tempfile.TemporaryDirectory() as folder:
         done: dict[str, str] = {}
