@@ -222,9 +222,8 @@ class MapView:
 
     def sees_walls(self, position: Array, reach: float) -> bool:
         """Whether an obstacle lies within a reach, in cells, of a (2,) position."""
-        centre = box_of(np.floor(position[None, ::-1] / self.cell_m).astype(np.int64))
-        rows, cols = self.grid.obstacle_cells(centre.grown(math.ceil(reach))).T
-        return bool((np.hypot(rows - math.ceil(reach), cols - math.ceil(reach)) <= reach).any())
+        x, y = position.tolist()
+        return self.grid.has_obstacle_within((math.floor(y / self.cell_m), math.floor(x / self.cell_m)), reach)
 
     def moved(self, position: Array) -> None:
         """Take in where the robot is, (2,), and that it fits on its way there; it may begin inside the inflation."""

@@ -263,14 +263,14 @@ class Grid:
 
     def obstacle_points(self, box: Box) -> Array:
         """(N, 2) where the obstacles in a box are, world frame, metres: the mean of each cell's returns."""
-        rows, cols, at = self._tiles.where(self._cells.obstacles, box).T
-        down, across = self._cells.down[at] / OFFSET, self._cells.across[at] / OFFSET
+        rows, cols = np.nonzero(self.part("obstacles", box))
+        down, across = (self.part(name, box)[rows, cols] / OFFSET for name in ("down", "across"))
         points = np.stack([box.left + cols + 0.5 + across, box.top + rows + 0.5 + down], axis=1)
         return np.asarray(points * self._config.cell_m)
 
-    def obstacle_cells(self, box: Box) -> NDArray[np.int64]:
-        """(N, 2) row and column in a box of its obstacles, by rows."""
-        return self._tiles.where(self._cells.obstacles, box)[:, :2]
+    def has_obstacle_within(self, cell: tuple[int, int], reach: float) -> bool:
+        """Whether an obstacle lies within `reach` cells from a cell, row, col from the world's origin."""
+        return self._tiles.has_within(self._cells.obstacles, cell, reach)
 
     def near_returns(self, box: Box, radius_m: float) -> Bools:
         """(H, W) the cells of a box whose centres are nearer than a radius to where an obstacle is, or to a body."""

@@ -98,10 +98,9 @@ class Tiles:
         _copy(self.index, pool, box.top - self.first[0], box.left - self.first[1], part)
         return part
 
-    def where(self, mask: NDArray[np.bool_], box: Box) -> NDArray[np.int64]:
-        """(N, 3) row and column in a box of the cells of a flat mask, by rows, and where they are in flat arrays."""
-        shape = box.bottom - box.top, box.right - box.left
-        return np.asarray(_where(self.index, mask, box.top - self.first[0], box.left - self.first[1], shape))
+    def has_within(self, mask: NDArray[np.bool_], cell: tuple[int, int], reach: float) -> bool:
+        """Whether a flat mask is True in a cell whose centre lies within `reach` cells from that of another one."""
+        return bool(_has_within(self.index, mask, cell[0] - self.first[0], cell[1] - self.first[1], reach))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -130,21 +129,16 @@ def _copy(index: Index, pool: NDArray[Any], top: int, left: int, part: NDArray[A
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _where(index: Index, mask: NDArray[np.bool_], top: int, left: int, shape: tuple[int, int]) -> NDArray[np.int64]:
-    """As `Tiles.where`; the first cell of the box is at row `top` and column `left` of the index."""
-    rows, cols = index.shape
-    out, count = np.empty((256, 3), dtype=np.int64), 0
-    for row in range(max(-top, 0), min(shape[0], (rows << SHIFT) - top)):
-        for square_col in range(max(left >> SHIFT, 0), min(((left + shape[1] - 1) >> SHIFT) + 1, cols)):
-            tile, first = np.int64(index[(top + row) >> SHIFT, square_col]), (square_col << SHIFT) - left
-            if tile < 0:
-                continue
-            begin = (tile << (2 * SHIFT)) + (((top + row) & (TILE - 1)) << SHIFT) - first
-            for col in range(max(first, 0), min(first + TILE, shape[1])):
-                if not mask[begin + col]:
-                    continue
-                if count == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
-                out[count, 0], out[count, 1], out[count, 2] = row, col, begin + col
-                count += 1
-    return out[:count].copy()
+def _has_within(index: Index, mask: NDArray[np.bool_], row: int, col: int, reach: float) -> bool:
+    """As `Tiles.has_within`, of a cell in a row and column of the index; the nearest rows are looked at first."""
+    rows, cols = index.shape[0] << SHIFT, index.shape[1] << SHIFT
+    for step in range(2 * int(reach) + 1):
+        down = (step + 1) // 2 if step % 2 else -(step // 2)
+        r, half = row + down, int(math.sqrt(reach * reach - down * down))
+        if not 0 <= r < rows:
+            continue
+        for c in range(max(col - half, 0), min(col + half + 1, cols)):
+            tile = np.int64(index[r >> SHIFT, c >> SHIFT])
+            if tile >= 0 and mask[(tile << (2 * SHIFT)) + ((r & (TILE - 1)) << SHIFT) + (c & (TILE - 1))]:
+                return True
+    return False

@@ -70,14 +70,16 @@ def test_changes_are_those_since_a_revision() -> None:
     assert changes.since(middle) is None and changes.since(changes.revision) == Box(0, 0, 0, 0)
 
 
-def test_the_cells_of_a_mask_are_found_in_any_box_by_rows() -> None:
+def test_a_cell_of_a_mask_is_found_within_a_reach_and_not_beyond() -> None:
     rng, tiles = np.random.default_rng(5), Tiles()
     tiles.cover(Box(-70, -33, 140, 205))
     tiles.allocate(np.argwhere(rng.random(tiles.index.shape) < 0.6))
-    mask, values = rng.random(len(tiles.squares) * TILE**2) < 0.02, rng.integers(0, 90, len(tiles.squares) * TILE**2)
-    for _ in range(60):
-        (top, bottom), (left, right) = np.sort(rng.integers(-120, 190, 2)), np.sort(rng.integers(-90, 250, 2))
-        box = Box(int(top), int(left), int(bottom) + 1, int(right) + 1)
-        rows, cols, at = tiles.where(mask, box).T
-        assert np.array_equal(np.stack([rows, cols]), np.nonzero(tiles.part(mask, box)))
-        assert np.array_equal(values[at], tiles.part(values, box)[rows, cols])
+    mask = rng.random(len(tiles.squares) * TILE**2) < 0.005
+    box, found = Box(-150, -120, 220, 290), []
+    rows, cols = np.nonzero(tiles.part(mask, box))
+    for _ in range(200):
+        row, col, reach = int(rng.integers(-120, 190)), int(rng.integers(-90, 250)), rng.uniform(0.3, 20.0)
+        is_near = (np.hypot(rows + box.top - row, cols + box.left - col) <= reach).any()
+        assert tiles.has_within(mask, (row, col), reach) == is_near
+        found.append(is_near)
+    assert 0.2 < np.mean(found) < 0.8
