@@ -6,6 +6,7 @@ identity of a landmark is that of its first observation with a single identity.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -65,12 +66,21 @@ def judge_matches(
 def landmark_identities(
     associations: Sequence[Mapping[LandmarkId, Observation]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
 ) -> dict[LandmarkId, Identity]:
-    """The identity of each landmark, as of `judge_matches`; without those that have none."""
-    identities: dict[LandmarkId, Identity] = {}
+    """The identity that more than half of a landmark's observations have; without those that have none.
+
+    A line fitted across several pieces of a wall is none of these: to which the first observation belonged does not
+    say where the landmark is.
+    """
+    seen: dict[LandmarkId, list[Identity | None]] = {}
     for observations, truth in zip(associations, truths, strict=True):
-        new = [i for i in observations if i not in identities]
-        seen = identify([observations[i] for i in new], Pose.from_array(truth), scene, laser) if new else ()
-        identities |= {i: one.identity for i, one in zip(new, seen, strict=True) if one.identity is not None}
+        judged = identify(list(observations.values()), Pose.from_array(truth), scene, laser)
+        for i, one in zip(observations, judged, strict=True):
+            seen.setdefault(i, []).append(one.identity)
+    identities: dict[LandmarkId, Identity] = {}
+    for i, found in seen.items():
+        most, count = Counter(found).most_common(1)[0]
+        if most is not None and 2 * count > len(found):
+            identities[i] = most
     return identities
 
 

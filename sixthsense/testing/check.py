@@ -13,11 +13,12 @@ from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.front_end import FrontEnd
 from sixthsense.slam.scans.place_search import PlaceSearch
-from sixthsense.testing import contract, edges, posterior, walls
+from sixthsense.testing import apparent, contract, edges, posterior, walls
 from sixthsense.testing.estimation import make
 from sixthsense.testing.laws import Verdicts, verdicts_of
 
-LAWS = (*posterior.LAWS, *contract.LAWS, *edges.LAWS, *walls.LAWS, *walls.WALLS, *edges.VALIDATION, *walls.VALIDATION)
+INTERFACE = (*contract.LAWS, *edges.LAWS, *walls.LAWS, *walls.WALLS, *apparent.LAWS)
+LAWS = (*posterior.LAWS, *INTERFACE, *edges.VALIDATION, *walls.VALIDATION)
 """of estimators"""
 
 

@@ -14,7 +14,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.evaluation.matches import judge_matches
+from sixthsense.evaluation.matches import judge_matches, landmark_identities
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
 from sixthsense.slam.features import extract
 from sixthsense.testing.sight import predict_points
@@ -124,6 +124,16 @@ def test_an_observation_of_another_wall_is_a_wrong_match():
     assert found.observations == 6
     assert found.wrong == ((2, 7), (2, 8), (3, 7))
     assert found.unexplained == found.spanning == found.left_out == ()
+
+
+def test_a_landmark_is_what_most_of_its_observations_are_of_and_nothing_if_most_are_of_several_walls():
+    step = np.array([[[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.05], [4.0, 0.05]]])
+    scene, pose = true_identities(step), Pose(2.0, 1.5, -1.0)
+    near, far = between([0.2, 0.0], [1.9, 0.0], 30), between([2.1, 0.05], [3.8, 0.05], 30)
+    first, second, both = (wall(pose, places) for places in (near, far, np.concatenate([near, far])))
+    scans = [{3: first, 4: first, 5: first}, {3: second, 4: both, 5: second}, {3: second, 4: both}]
+    found = landmark_identities(scans, np.array([pose.array()] * 3), scene, LASER)
+    assert found == {3: verdict(second, pose, scene).identity}
 
 
 def random_room(rng):

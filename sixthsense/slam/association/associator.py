@@ -15,6 +15,7 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
+from sixthsense.slam.association.corners import Scatter
 from sixthsense.slam.association.matching import Matches, compare_known, match
 from sixthsense.slam.association.observed import (
     Distances,
@@ -67,6 +68,7 @@ class Associator:
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
+        self._scatter = Scatter()
         self._prior, self._are_free = frozenset(self.records), are_free
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
 
@@ -96,7 +98,8 @@ class Associator:
             matches = at(proposed, proposed.estimate())
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
-        known, pieces = self._seen_again(observations, matches, estimate)
+        updated = estimate.pose if proposed is not None else matches.pose
+        known, pieces = self._seen_again(observations, matches, estimate, updated)
         nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
         new, more = self._start_landmarks(observations, observed, np.flatnonzero(matches.is_new).tolist(), estimate)
         accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
@@ -104,9 +107,12 @@ class Associator:
         return Association(accepted, discarded, nis, dof, pieces, slip)
 
     def _seen_again(
-        self, observations: Sequence[Observation], matches: Matches, estimate: Estimate
+        self, observations: Sequence[Observation], matches: Matches, estimate: Estimate, updated: Pose
     ) -> tuple[dict[LandmarkId, Observation], int]:
-        """The observations of known landmarks, and how many further ones were fused with these."""
+        """The observations of known landmarks, and how many further ones were fused with these.
+
+        Where points are is compared with where they were, as seen from the pose that the matches imply, `updated`.
+        """
         known: dict[LandmarkId, Observation] = {}
         for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
             if i >= 0:
@@ -115,10 +121,13 @@ class Associator:
         rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
         for i, observation in known.items():
             record = self.records[i]
-            seen = less_certain(observation, record.shape.square_m2(self._crookedness.excess))
             record.observations += 1
             record.last_scan = self._scan
-            known[i] = record.seen_again(seen, estimate.pose, estimate.landmarks[rows[i]]) if seen.is_wall else seen
+            if observation.is_wall:
+                seen = less_certain(observation, record.shape.square_m2(self._crookedness.excess))
+                known[i] = record.seen_again(seen, estimate.pose, estimate.landmarks[rows[i]])
+            else:
+                known[i] = record.corner.seen(observation, updated, self._scatter)
         return known, pieces
 
     def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
@@ -257,7 +266,11 @@ class Associator:
             footprint = self.records[i].footprint
             if square_m2 > 0.0 and footprint is not None:
                 self.records[i].stretch_of(footprint)
-        return {i: less_certain(observation, squares[i]) for i, observation in new.items()}, pieces
+        appear = {i: less_certain(seen, squares[i]) for i, seen in new.items() if seen.is_wall}
+        for i, seen in new.items():
+            if not seen.is_wall:
+                appear[i] = self.records[i].corner.seen(seen, estimate.pose, self._scatter)
+        return {i: appear[i] for i in new}, pieces
 
     def _are_one(self, one: Observation, other: Observation) -> bool:
         """Whether two observations of one scan, neither of a known landmark, are of one landmark."""

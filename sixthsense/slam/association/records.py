@@ -21,6 +21,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Bend, Kind, LandmarkId, Observation, WallShape
 from sixthsense.core.motion import Odometry
+from sixthsense.slam.association.corners import Corner
 from sixthsense.slam.association.observed import ends, joined
 
 _SIGNIFICANT = 3.0
@@ -130,8 +131,8 @@ def less_certain(observation: Observation, square_m2: float) -> Observation:
     """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
     if square_m2 == 0.0 or not observation.is_wall:
         return observation
-    bend = Bend(square_m2 * unit_cov(*observation.extent, True))
-    return replace(observation, cov=observation.cov + bend.cov, bend=bend)
+    cov = square_m2 * unit_cov(*observation.extent, True)
+    return replace(observation, cov=observation.cov + cov, bend=Bend(cov, 2.0 * cov))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -199,6 +200,8 @@ class Record:
     """of the last observation of a wall; None of a wall of an earlier run"""
     stretches: list[Footprint] = field(default_factory=list)
     """of a wall that is not straight: what was seen of it at once, each hardly like the others"""
+    corner: Corner = field(default_factory=Corner)
+    """of a point"""
 
     def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
         """An observation of this wall (2,) from `pose`, with what its shape's error has in common with the last one."""
@@ -211,7 +214,9 @@ class Record:
         kept = 0.0 if before is None else correlation(before, self.footprint)
         stretch = self.stretch_of(self.footprint)
         alike = correlation(self.stretches[stretch], self.footprint)
-        return replace(observation, bend=Bend(observation.bend.cov, kept, stretch, alike))
+        # Of two errors of one variance.
+        cov = observation.bend.cov
+        return replace(observation, bend=Bend(cov, 2.0 * (1.0 - kept) * cov, stretch, alike))
 
     def stretch_of(self, seen: Footprint) -> int:
         """Number of the stretch that is most like what was seen; a new one, if none has most of its error."""

@@ -2,7 +2,7 @@
 
 A wall that is not straight is observed as it appears. An apparent wall is the wall and an error of its shape. That
 stays while the same stretch is seen from the same side. It is a variable of its own, so that an error that stays is no
-new evidence of the wall.
+new evidence of the wall. So is an apparent point, from the same side.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from sixthsense.slam.estimators.isam2_factors import (
     prior_frames,
     prior_jacobians,
     seen_point,
+    side_factor,
     start_factor,
     stretch_factor,
     to_pose,
@@ -330,9 +331,9 @@ class Observations:
             is_new = i not in self._landmarks.keys
             if is_new:
                 self._landmarks.add(i, guess, observation, waiting.values)
-            if (bend := observation.bend) is not None and (i, bend.stretch) not in self._landmarks.stretches:
-                self._add_stretch(i, guess, observation, bend, waiting)
-                self._append(NONE, i, observation, True)  # a factor between a wall and what is seen of it
+            if (bend := observation.bend) is not None and self._is_unseen(i, observation, bend):
+                self._add_apparent(i, guess, observation, bend, waiting)
+                self._append(NONE, i, observation, True)  # a factor between a landmark and what is seen of it
             waiting.graph.add(self._factor(i, (int(X(pose)), guess), observation, is_new, waiting.values))
             self._append(pose, i, observation, is_new)
 
@@ -382,7 +383,20 @@ class Observations:
         self._rows[self._count] = (pose, i, NONE, seen.is_wall, is_first, seen.z, seen.cov)
         self._count += 1
 
-    def _add_stretch(self, i: LandmarkId, guess: Pose, observation: Observation, bend: Bend, waiting: Unsolved) -> None:
+    def _is_unseen(self, i: LandmarkId, observation: Observation, bend: Bend) -> bool:
+        """Whether what is seen of a landmark has no variable, though its error stays."""
+        if observation.is_wall:
+            return (i, bend.stretch) not in self._landmarks.stretches
+        return bool(bend.cov.any()) and (i, bend.stretch) not in self._landmarks.sides
+
+    def _add_apparent(
+        self, i: LandmarkId, guess: Pose, observation: Observation, bend: Bend, waiting: Unsolved
+    ) -> None:
+        if not observation.is_wall:
+            key = self._landmarks.next_side(i, bend.stretch)
+            waiting.values.insert(key, guess @ observation.z)
+            waiting.graph.add(side_factor(self._landmarks.keys[i], key, guess, bend.cov))
+            return
         wall, key = self._landmarks.keys[i], self._landmarks.next_stretch(i, bend.stretch)
         of_bend = replace(observation, cov=bend.cov)
         frame, factor = stretch_factor((wall, self._frame(wall, waiting.values)), key, guess, of_bend)
@@ -394,6 +408,9 @@ class Observations:
     ) -> gtsam.NonlinearFactor:
         key = self._landmarks.keys[i]
         if not observation.is_wall:
+            if (bend := observation.bend) is not None and bend.cov.any():
+                key = self._landmarks.sides[i, bend.stretch]
+                observation = replace(observation, cov=observation.cov - bend.stretch_kept**2 * bend.cov)
             return seen_point(key, pose[0], observation, self._solution.sensor, self._loss)
         if (bend := observation.bend) is not None:
             key = self._landmarks.stretches[i, bend.stretch]

@@ -160,6 +160,16 @@ def stretch_factor(
     return frame @ place, gtsam.BetweenFactorPose2(wall_key, key, to_pose2(place), noise)
 
 
+def side_factor(point: int, key: int, pose: Pose, cov: Array) -> gtsam.NonlinearFactor:
+    """The factor between a point and how it appears from a side, the variables with these keys.
+
+    Their difference has the covariance (2, 2), axes of the robot at `pose`.
+    """
+    turn = rotation(pose.theta)
+    noise = noise_of(floored(turn @ cov @ turn.T))
+    return gtsam.BetweenFactorPoint2(point, key, np.zeros(2), noise)
+
+
 def lines(frames: Array) -> tuple[Array, Array]:
     """(n, 2) walls (alpha, d) of frames (n, 3), and their Jacobians (n, 2, 3) by the frames, in each frame's axes."""
     alpha = wrap_angle(frames[:, 2] + 0.5 * math.pi)

@@ -27,8 +27,10 @@ def wall_from(pose, cov):
     return Observation(Kind.WALL, z, cov, (-1.0, 1.0))
 
 
-def seen_as(observation, **fields):
+def seen_as(observation, kept=None, **fields):
     """The observation of a wall that is not straight with this in common with earlier ones."""
+    if kept is not None:
+        fields["renewal"] = 2.0 * (1.0 - kept) * observation.bend.cov
     return replace(observation, bend=observation.bend._replace(**fields))
 
 

@@ -165,15 +165,16 @@ def test_errors_of_shape_are_alike_by_the_share_that_both_see_and_by_the_turn_of
 
 def test_a_wall_that_is_seen_again_keeps_its_extent_and_the_stretch_that_is_most_like_it():
     landmark = np.array([wrap_angle(0.4 + POSE.theta), 0.0])
-    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8), bend=Bend(np.eye(2)))
+    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8), bend=Bend(np.eye(2), 2.0 * np.eye(2)))
     landmark[1] = ends(POSE, wall)[0] @ [math.cos(landmark[0]), math.sin(landmark[0])]
     record = Record(Kind.WALL, 1, 1, 1, extent=ends(POSE, wall))
     first = record.seen_again(wall, POSE, landmark)
-    assert first.bend[1:] == (0.0, 0, 1.0)
-    longer = Observation(Kind.WALL, wall.z, np.eye(2), (0.3, 2.0), bend=Bend(np.eye(2)))
+    assert first.bend.renewal == pytest.approx(2.0 * np.eye(2)) and first.bend[2:] == (0, 1.0)
+    longer = Observation(Kind.WALL, wall.z, np.eye(2), (0.3, 2.0), bend=Bend(np.eye(2), 2.0 * np.eye(2)))
     again = record.seen_again(longer, POSE, landmark)
     both = Footprint.of(POSE, ends(POSE, wall)), Footprint.of(POSE, ends(POSE, longer))
-    assert again.bend.kept == pytest.approx(correlation(*both)) and again.bend.stretch == 1
+    renewal = 2.0 * (1.0 - correlation(*both)) * np.eye(2)
+    assert again.bend.renewal == pytest.approx(renewal) and again.bend.stretch == 1
     whole = [POSE @ line_point(wall.z, place) for place in (-0.5, 2.0)]
     assert sorted(record.extent.tolist()) == pytest.approx(np.array(sorted(whole, key=tuple)))
 
