@@ -45,6 +45,15 @@ def test_the_code_of_a_page_on_other_programs_runs_in_a_process_of_its_own(page,
     assert done.returncode == 0, done.stderr
 
 
+def test_no_two_pages_write_the_same_folder():
+    """Whoever reads one after the other is else told that the folder exists."""
+    written = {"runs/first": "Makefile"}
+    for page in PAGES:
+        for folder in re.findall(r"^\$ sixthsense .* --out (\S+)", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE):
+            assert written.setdefault(folder, page) == page, folder
+    assert len(written) > 20
+
+
 def test_every_public_name_has_its_place_in_the_reference():
     page, _, _ = (DOCS / "reference" / "api.md").read_text(encoding="utf-8").partition("## Behind these names")
     named = re.findall(r"^::: sixthsense\.(\w+)$", page, re.MULTILINE)
