@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
-from sixthsense.config.files import absolute
+from sixthsense.config.files import absolute, path_of
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
 from sixthsense.running.runs import RunHooks, replay_log, reserved, simulate
@@ -138,8 +138,10 @@ def replay(
     if isinstance(log, (str, Path)):
         chosen = LogSelection(topics, robot, odometry_frames, units)
         found = _open_with_config(Path(log), config, relations, chosen, given, out)
-    else:
+    elif hasattr(log, "ticks"):
         found = _opened(log, config, relations, given)
+    else:
+        raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
         return replay_log(found, folder, _watch(on_tick, progress), prior)
 
@@ -187,11 +189,12 @@ def merge_runs(
     from sixthsense.running.merging import open_merged, replay_merged
     from sixthsense.sources.replay_input import LogSelection, check_options, check_out
 
+    first, second = path_of("first", first), path_of("second", second)
     check_options(first, fields, LogSelection())
     for run in (first, second):
-        check_out(run, None if out is None else Path(out))
-    config = _apply_fields(load_config(Path(first) / "config.toml"), fields)
-    merged = open_merged(Path(first), Path(second), config, relations, force)
+        check_out(run, None if out is None else path_of("out", out))
+    config = _apply_fields(load_config(first / "config.toml"), fields)
+    merged = open_merged(first, second, config, relations, force)
     with reserved(out, merged.config, overwrite, merged.files) as folder:
         return replay_merged(merged, folder, _watch(on_tick, progress), force)
 
@@ -202,7 +205,7 @@ def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
         return _apply_fields(scene, given)
     if "scene" in given:
         raise InputError("scene", f"found {shown(given['scene'])} beside {shown(str(scene))}", "one scene")
-    return _apply_fields(given.pop("preset", "default"), {**given, "scene": str(scene)})
+    return _apply_fields(given.pop("preset", "default"), {**given, "scene": str(path_of("scene", scene))})
 
 
 def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorStart | None:
@@ -244,7 +247,7 @@ def _open_with_config(
     if config is not None and "preset" in given:
         raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
     base = given.pop("preset", None) if config is None else config
-    check_out(log, None if out is None else Path(out))
+    check_out(log, None if out is None else path_of("out", out))
     settings = _apply_fields(base_of(log) if base is None else base, given)
     return open_recorded(log, settings, relations, chosen)
 

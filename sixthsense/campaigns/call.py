@@ -19,6 +19,7 @@ from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
+from sixthsense.config.files import path_of
 from sixthsense.config.parts import KINDS
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
@@ -201,7 +202,7 @@ class Campaign(RunTable):
 
     def __init__(self, folder: str | Path) -> None:
         """Open a folder; raises InputError for one that is not a campaign's, and without pandas."""
-        self.folder = Path(folder)
+        self.folder = path_of("folder", folder)
         """with campaign.toml, rows.jsonl and curves/"""
         self.name = self.folder.absolute().name
         self._fields = read_folder(self.folder)["fields"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -10,7 +11,7 @@ from typing import Any
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.presets import preset
-from sixthsense.config.section import as_table, merge
+from sixthsense.config.section import as_table, merge, shown
 from sixthsense.config.tree import Config
 from sixthsense.config.version import __version__
 
@@ -20,6 +21,13 @@ _DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){20}""")
 
 NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
+
+
+def path_of(name: str, value: object) -> Path:
+    """The argument `name` as a path; InputError for what is none."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(name, f"found {shown(value)}", "a path")
+    return Path(value)
 
 
 def instead_of(folder: Path, name: str) -> str:

@@ -147,7 +147,7 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | RunTable) -> Com
     """
     if isinstance(runs, (str, Path)):
         _refuse_campaign(runs)
-    if isinstance(runs, (Run, Trace, str, Path)):
+    if isinstance(runs, (Run, Trace, str, Path)) or not isinstance(runs, RunTable | Iterable):
         raise InputError("runs", f"found {shown(runs)}", "a list of runs or folders, or a mapping of them")
     if isinstance(runs, RunTable):
         runs = [runs]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
+from sixthsense.config.files import path_of
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 
@@ -61,4 +62,4 @@ def load(folder: str | Path) -> Run:
         For a folder that is not a run folder or has no record, and for a damaged file, with its line.
 
     """
-    return Run.read(folder)
+    return Run.read(path_of("folder", folder))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config, load_config, prior_map_of
 from sixthsense.config.errors import InputError, reason_of
-from sixthsense.config.files import absolute, instead_of
+from sixthsense.config.files import absolute, instead_of, path_of
 from sixthsense.config.section import shown
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Pose
@@ -271,7 +271,7 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     Raises InputError, naming the file, for a folder that is no run folder, lacks a part of the map, or is damaged, and
     for a map without landmarks.
     """
-    folder = Path(folder)
+    folder = path_of("prior_map", folder)
     file = folder / END_FILE
     if not (folder / "config.toml").is_file():
         raise InputError(folder, f"found {instead_of(folder, 'config.toml')}", "the folder of a run")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sixthsense.config import Config
+from sixthsense.config.files import path_of
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.running.progress import LiveStatus, Progress, combined_hooks, seen_area
 
@@ -60,7 +61,7 @@ def reserved(
         return contextlib.nullcontext()
     from sixthsense.record.folder import RunFolder
 
-    folder = RunFolder(Path(out), config, overwrite, replayed, None if prior is None else prior.note())
+    folder = RunFolder(path_of("out", out), config, overwrite, replayed, None if prior is None else prior.note())
     for note in folder.notes:
         warnings.warn(note, stacklevel=3)
     return folder

@@ -42,6 +42,11 @@ class Step:
     moving: Moving = NOTHING_MOVES
     """returns of what moves; none where people are not expected"""
 
+    def __repr__(self) -> str:
+        x, y, theta = self.pose.x, self.pose.y, self.pose.theta
+        what = "keyframe" if self.keyframe is not None else "scan" if self.scan is not None else "odometry"
+        return f"<Step at {1e-9 * self.stamp_ns:.3f} s, {what}: x {x:.3f} m, y {y:.3f} m, theta {theta:.4f} rad>"
+
 
 @dataclass(frozen=True, slots=True)
 class SlamResult:

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError, PartError
 from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS, STATES_RELATIVE
+from sixthsense.config.section import shown
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import part_of
 from sixthsense.core.arguments import as_pose, as_ranges
@@ -76,11 +77,13 @@ class Slam:
         `radius_m` is of the disc that the robot is, by default the configuration's. `clock(stage)` is entered around
         each stage, to measure its time. `prior_map` is of an earlier run in this building, in whose frame the start is.
         Without `draws_map` keyframes are not drawn into the map before `draw_map` or `finish`, which saves time.
-        Raises InputError for a configuration or start that it cannot be used with; the first scan raises InputError
-        if it does not fit the map.
+        Raises ValueError that names what is no configuration, no pose, or cannot be used; the first scan raises
+        InputError if it does not fit the map.
         """
+        if config is not None and not isinstance(config, Config):
+            raise InputError("config", f"found {shown(config)}", "a Config, such as ss.preset()")
         self.config = config = config or Config()
-        self._start, self._clock = start or Pose(), clock
+        self._start, self._clock = Pose() if start is None else as_pose("start", start), clock
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self._radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M if radius_m is None else radius_m
         self.estimator: Estimator = part_of(config, ESTIMATORS).make(self._start, cov)
@@ -247,6 +250,8 @@ class Slam:
     def _check(self, tick: Tick) -> None:
         if self._result is not None:
             raise RuntimeError("found a tick after finish, allowed: a new Slam")
+        if not isinstance(tick.stamp_ns, int | np.integer):
+            raise ValueError(f"stamp_ns: found {shown(tick.stamp_ns)}, allowed: a whole number of nanoseconds")
         if self._last is not None and tick.stamp_ns <= self._last.stamp_ns:
             raise ValueError(f"stamp_ns: found {tick.stamp_ns} after {self._last.stamp_ns}, allowed: ascending stamps")
         if tick.scan is not None and tick.observations:

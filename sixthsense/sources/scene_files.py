@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from sixthsense.config.errors import InputError, nearest
+from sixthsense.config.files import path_of
 from sixthsense.config.section import Range, Section, shown, shown_name
 
 T = TypeVar("T")
@@ -41,7 +42,7 @@ def shipped_scenes() -> dict[str, Path]:
 def scene_file(name_or_file: str | Path) -> Path:
     """The file of a shipped scene, or the file itself; InputError for a name that is neither, with the known ones."""
     shipped = shipped_scenes()
-    path = shipped.get(str(name_or_file), Path(name_or_file))
+    path = shipped.get(str(name_or_file), path_of("scene", name_or_file))
     if path.suffix.lower() not in SUFFIXES:
         found = str(name_or_file)
         allowed = f"{', '.join(shipped)}, or a file ending in {', '.join(SUFFIXES)}"

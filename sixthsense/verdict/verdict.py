@@ -45,6 +45,9 @@ class Verdict:
         """Name of the likeliest cause; empty where the evidence tells none."""
         return self.causes[0].name if self.causes else ""
 
+    def __repr__(self) -> str:
+        return f"<Verdict {self}; the map is wrong with a probability of {self.probability:.2g}>"
+
     def __str__(self) -> str:
         if self.level == "good":
             return self.level

@@ -49,7 +49,8 @@ def test_no_two_pages_write_the_same_folder():
     """Whoever reads one after the other is else told that the folder exists."""
     written = {"runs/first": "Makefile"}
     for page in PAGES:
-        for folder in re.findall(r"^\$ sixthsense .* --out (\S+)", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE):
+        text = (DOCS / page).read_text(encoding="utf-8")
+        for folder in re.findall(r"^\$ sixthsense .* --out (\S+)", text, re.MULTILINE):
             assert written.setdefault(folder, page) == page, folder
     assert len(written) > 20
 
