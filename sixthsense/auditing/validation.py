@@ -32,7 +32,9 @@ def faults(poses: Poses) -> Iterator[str]:
             f"{beyond:,} of {count:,} poses have a rotation of sigma above {UNIFORM_RAD:.2f} rad, that of an unknown "
             f"direction, up to {largest.max():.3g}: in degrees, or of the other order?"
         )
-    if (singular := int(np.sum(~has_full_rank(covs)))) and not swapped:
+    defective = ~has_full_rank(covs)
+    defective[0] &= covs[0].any()  # where its frame begins, a map knows the robot exactly
+    if (singular := int(np.sum(defective))) and not swapped:
         yield f"{singular:,} of {count:,} covariances are not positive definite: their poses are left out"
 
 

@@ -55,8 +55,10 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
     Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
-    campaign, for workers that will not do, and if the scheduler is lost; FolderInUseError; OSError that names a file.
+    campaign, for workers that will not do, if the scheduler is lost, and without pandas; FolderInUseError; OSError that
+    names a file.
     """
+    import_extra("pandas")  # for the table of the rows, which is asked for when the runs are done
     with FolderLock(out):
         saved, rows = check_folder(out, campaign), CampaignRows(out)
         known = rows.rows.read()
@@ -76,7 +78,8 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
                 dashboard = f"; dashboard {executor.client.dashboard_link}"
             save_folder(out, campaign, saved)
             existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
-            execution.say(f"{len(runs)} runs{existing}; {executor.workers} workers{dashboard}")
+            workers = f"{executor.workers} worker{'s' * (executor.workers != 1)}"
+            execution.say(f"{len(runs)} runs{existing}; {workers}{dashboard}")
             with progress_bar(
                 execution.progress, total=len(missing), desc="campaign", unit=" runs", leave=False
             ) as bar:

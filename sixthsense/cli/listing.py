@@ -62,7 +62,7 @@ class Parts(Options):
         for parts in KINDS:
             print(f"{flag_of(parts.kind)} (contract: {parts.seam}; group of entry points: {parts.group})")
             for name, path in {**parts.shipped, **parts.installed()}.items():
-                print(f"  {name:16}{path}{'' if name in parts.shipped else ', installed'}")
+                print(f"  {name:16}  {path}{'' if name in parts.shipped else ', installed'}")
         return DONE
 
 

@@ -200,6 +200,7 @@ def test_the_parts_that_can_be_replaced_are_listed(capsys):
     assert cli.main(["parts"]) == cli.DONE
     said = capsys.readouterr().out
     assert "--estimator (contract: sixthsense.slam.estimators.base:Estimator" in said and "isam2" in said
+    assert "  branch-and-bound  sixthsense.slam.scans.place_search:BranchAndBound\n" in said
 
 
 def test_a_package_that_is_installed_gives_its_parts_short_names(lab, capsys):

@@ -59,6 +59,14 @@ def test_covariances_without_full_rank_are_counted():
     assert note == "cannot be right: 7 of 300 covariances are not positive definite: their poses are left out"
 
 
+def test_the_exactly_known_pose_at_which_a_map_begins_is_no_fault_and_a_later_one_is():
+    covs = np.array(np.broadcast_to(COV, (N, 3, 3)))
+    covs[0] = 0.0
+    assert notes(covs) == []
+    covs[7] = 0.0
+    assert notes(covs) == ["cannot be right: 1 of 300 covariances are not positive definite: their poses are left out"]
+
+
 def test_headings_in_degrees_are_refused_and_those_that_go_on_are_not():
     covs = np.broadcast_to(COV, (N, 3, 3))
     poses = (TRUTH + ERROR) * [1.0, 1.0, 180.0 / np.pi]

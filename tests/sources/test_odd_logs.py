@@ -103,6 +103,12 @@ def test_an_odd_bag_has_its_returns_on_the_walls_and_says_what_is_odd(name, tmp_
     assert any(said in note for note in notes) if said else not notes
 
 
+def test_a_clock_that_begins_with_0_is_no_missing_stamp(tmp_path):
+    ss.run("rectangle", task="tour", max_time=3.0, seed=4, out=tmp_path / "run", progress=False)
+    log = open_log(tmp_path / "run" / "bag")
+    assert log.ticks[0].stamp_ns == 0 and not [note for note in log.remarks() if "no stamp" in note]
+
+
 def in_turn(n):
     """Ranges of a laser that looks ahead, and of one that looks back, of a robot that stands."""
     place = way(0.3) @ MOUNT @ (Pose(-0.5, 0.0, math.pi) if n % 2 else Pose())

@@ -252,7 +252,7 @@ def _headers(recording: _Recording, scans: Sequence[Stamped]) -> list[int]:
 
 def _timed(stamped: Sequence[tuple[int, int, int, Any]], topic: str, remarks: list[str]) -> list[Stamped]:
     """Messages with the stamps that put them in order: of their headers, or of their recording where these do not."""
-    absent = sum(own == 0 for own, *_ in stamped)
+    absent = sum(own == 0 != record_ns for own, record_ns, *_ in stamped)  # a clock may begin with 0
     own = [own or record_ns for own, record_ns, _, _ in stamped]
     if absent:
         remarks.append(f"{absent} of {len(own)} messages of {topic} have no stamp: the time of recording is theirs")
