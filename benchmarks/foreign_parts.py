@@ -1,7 +1,7 @@
 """Parts that are written on other libraries, through the same tours and logs as the package's own.
 
     python benchmarks/foreign_parts.py --seeds 3                              # tours alone, about 5 minutes
-    SIXTHSENSE_DATA=FOLDER python benchmarks/foreign_parts.py --logs fr079    # and a log
+    SIXTHSENSE_DATA=FOLDER python benchmarks/foreign_parts.py --tours --logs fr079 intel    # logs alone, 3 minutes
 
 `Gicp` is a front end that aligns scans with small_gicp (pip install small_gicp), each keyframe with the one before.
 `LeastSquares` is an estimator on sparse matrices of scipy. The other row of each is the package's own part in its
@@ -246,7 +246,7 @@ def log_row(name: str, data: Path, label: str, **fields: Any) -> list[str]:
     """Replay a log; its row."""
     log, relations = data / name / f"{name}.clf.bz2", data / name / f"{name}.relations"
     metrics = ss.replay(log, relations=relations, progress=False, **fields).metrics
-    found = [f"{metrics[f'relations_{key}']:.4f}" for key in ("trans_mean_m", "rot_mean_rad")]
+    found = [f"{metrics[f'relations_{key}']:.4f}" for key in ("trans_m_mean", "rot_deg_mean")]
     return [name, label, *found, f"{metrics['scan_ms_p50']:.1f}"]
 
 
@@ -271,11 +271,13 @@ def main() -> None:
         for scene in options.tours
         for label, fields in (matchers | estimators).items()
     ]
-    of_logs = [["log", "part", "mean m", "mean rad", "ms a keyframe"]]
+    of_logs = [["log", "part", "mean m", "mean deg", "ms a keyframe"]]
     data = os.environ.get("SIXTHSENSE_DATA")
     for name in options.logs if data else ():
         of_logs += [log_row(name, Path(str(data)), label, **fields) for label, fields in matchers.items()]
-    finish(options, "foreign_parts", of_tours, *([of_logs] if len(of_logs) > 1 else []), text=2)
+    for name, table in (("foreign_parts", of_tours), ("foreign_logs", of_logs)):
+        if len(table) > 1:
+            finish(options, name, table, text=2)
 
 
 if __name__ == "__main__":
