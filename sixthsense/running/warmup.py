@@ -55,9 +55,9 @@ def prepare(say: Callable[[str], object], config: Config | None = None, of_log: 
     """
     if kernel_cache.note:
         say(f"note: {kernel_cache.note}")
-    is_first = not is_compiled()
     drives = config is None or not of_log or config.front_end != "scan-matching"
     matches = config is not None and "scan-matching" in (config.front_end, config.association.proposed_by)
+    is_first = not is_compiled(drives, matches)
     if is_first:
         say(COMPILING)
     with _second_process(drives, matches) if is_first else contextlib.nullcontext():
@@ -96,13 +96,17 @@ def warm_up_beside(drives: bool, matches: bool) -> None:
         _warm_up_navigation()
 
 
-def is_compiled() -> bool:
-    """Whether the hot loops have been compiled before, so that a run begins at once."""
+def is_compiled(drives: bool = True, matches: bool = False) -> bool:
+    """Whether the hot loops of a robot that drives, and of scan matching, have been compiled before.
+
+    A run with those that it needs begins at once. Each of both has a kernel that nothing else compiles.
+    """
     import numba
 
     cache: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     folder = Path(cache) if cache else Path(__file__).parents[1]
-    return any(folder.rglob("*.nbi"))
+    kernels = [name for name, is_needed in (("frontier.*.nbi", drives), ("tracking.track-*.nbi", matches)) if is_needed]
+    return all(any(folder.rglob(name)) for name in kernels)
 
 
 @functools.cache

@@ -27,14 +27,15 @@ WHAT = [
 
 @pytest.mark.parametrize(("config", "of_log", "is_first", "expected"), WHAT)
 def test_a_run_compiles_what_it_needs(config, of_log, is_first, expected, monkeypatch) -> None:
-    done, said, beside = set(), [], []
+    done, said, beside, asked = set(), [], [], []
     for name, part in {"warm_up": "all", "_warm_up_drive": "drive", "warm_up_scans": "scans"}.items():
         monkeypatch.setattr(warmup, name, lambda part=part: done.add(part))
-    monkeypatch.setattr(warmup, "is_compiled", lambda: not is_first)
+    monkeypatch.setattr(warmup, "is_compiled", lambda *parts: asked.append(parts) or not is_first)
     monkeypatch.setattr(warmup, "_second_process", lambda *parts: beside.append(parts) or contextlib.nullcontext())
     monkeypatch.setattr(kernel_cache, "note", "")
     warmup.prepare(said.append, config, of_log)
     assert done == expected and said == [warmup.COMPILING] * is_first
+    assert asked == [(bool(expected & {"all", "drive"}), "scans" in expected)]
     assert beside == [(bool(expected & {"all", "drive"}), "scans" in expected)] * is_first
 
 
@@ -68,8 +69,11 @@ def test_the_kernels_are_looked_for_where_numba_keeps_them(has_own_cache, tmp_pa
     elsewhere, there = (package, own) if has_own_cache else (own, package)
     for place, expected in ((elsewhere, False), (tmp_path / "lib", False), (there / "core" / "__pycache__", True)):
         place.mkdir(parents=True, exist_ok=True)
-        (place / "kernel.nbi").touch()
+        (place / "frontier.close_unseen_gaps-7.nbi").touch()
         assert warmup.is_compiled() is expected
+        assert not warmup.is_compiled(True, True) and not warmup.is_compiled(False, True)
+    (there / "tracking.track-9.nbi").touch()
+    assert warmup.is_compiled(True, True) and warmup.is_compiled(False, True)
 
 
 def test_collections_in_a_run_do_not_walk_the_imports() -> None:
