@@ -38,7 +38,7 @@ HEAD = ["log", "relations", "stated sigma, m", *(f"within {100 * share:.0f} %" f
 
 HAT = ["relations within 5 s", "number"]
 HAT += [f"{what}, {unit}" for unit in ("mm", "mrad") for what in ("stated", "ours", "relations", "wheels")]
-HAT += ["contradicted by both"]
+HAT += ["within 5 m contradicted by both"]
 FAR_M, ALIKE_M = 0.2, 0.1
 """A relation is contradicted by both where it is that far from ours, and wheels are nearer to ours than that."""
 
@@ -155,7 +155,8 @@ def hat_row(name: str, errors: Errors) -> list[str]:
     rows = [np.hypot(one[0], one[1]) / math.sqrt(2.0) for one in (stated, *hat(errors))]
     turns = [one[2] for one in (stated, *hat(errors))]
     cells = ["correlated" if np.isnan(value) else f"{1e3 * value:.1f}" for value in (*rows, *turns)]
-    far, apart = (np.hypot(*off[near, :2].T) for off in (errors.errors, errors.errors - errors.of_wheels))
+    short = errors.ways_m <= WAYS_M[2]
+    far, apart = (np.hypot(*off[short, :2].T) for off in (errors.errors, errors.errors - errors.of_wheels))
     return [name, str(int(near.sum())), *cells, str(int(((far > FAR_M) & (apart < ALIKE_M)).sum()))]
 
 
