@@ -121,9 +121,11 @@ def write_end(folder: Path, trace: Trace) -> None:
             kept = field.of(trace)
             if field.is_absent(kept):
                 continue
-            for column, value in zip(field.columns, field.split(kept), strict=True):
+            values = iter(field.split(kept))
+            for column in field.columns:
                 with out.open(f"{column.name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, column.array(value), allow_pickle=False)
+                    # Named nowhere, so that it is gone before the next one is made.
+                    np.lib.format.write_array(member, column.array(next(values)), allow_pickle=False)
 
 
 def load_record(folder: Path | str) -> tuple[Trace, tuple[RecordPart, ...]]:
