@@ -200,8 +200,8 @@ class Record:
     """of the last observation of a wall; None of a wall of an earlier run"""
     stretches: list[Footprint] = field(default_factory=list)
     """of a wall that is not straight: what was seen of it at once, each hardly like the others"""
-    corner: Corner = field(default_factory=Corner)
-    """of a point"""
+    corner: Corner = field(default_factory=Corner, repr=False, compare=False)
+    """of a point; not recorded"""
 
     def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
         """An observation of this wall (2,) from `pose`, with what its shape's error has in common with the last one."""
