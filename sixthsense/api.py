@@ -138,10 +138,8 @@ def replay(
     if isinstance(log, (str, Path)):
         chosen = LogSelection(topics, robot, odometry_frames, units)
         found = _open_with_config(Path(log), config, relations, chosen, given, out)
-    elif hasattr(log, "ticks"):
-        found = _opened(log, config, relations, given)
     else:
-        raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
+        found = _opened(log, config, relations, given)
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
         return replay_log(found, folder, _watch(on_tick, progress), prior)
 
@@ -223,6 +221,8 @@ def _opened(
     from sixthsense.sources.logs.log import read_relations
     from sixthsense.sources.replay_input import ReplayInput, of_log, relations_of
 
+    if not hasattr(log, "ticks"):
+        raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
     if config is None:
         raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
     known = read_relations(relations) if isinstance(relations, (str, Path)) else relations

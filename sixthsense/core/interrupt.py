@@ -66,11 +66,14 @@ class CommandSignals:
         again.start()
 
     def dropped(self, unraisable: Any) -> None:
-        """Take in what Python has dropped, in place of its own hook, which tells of everything else."""
-        if issubclass(unraisable.exc_type, KeyboardInterrupt) and self.number and not self.is_over:
-            self.swallowed()
-        else:
+        """Take in what Python has dropped, in place of its own hook, which tells of everything before a signal.
+
+        After one, objects whose construction was interrupted cannot be finalized: nothing is lost with them.
+        """
+        if not self.number:
             self._report(unraisable)
+        elif issubclass(unraisable.exc_type, KeyboardInterrupt) and not self.is_over:
+            self.swallowed()
 
     def interrupt(self, frame: Any) -> None:
         """Raise KeyboardInterrupt in a handler of a signal, or later where it would be dropped, too."""

@@ -114,3 +114,21 @@ def test_an_interrupt_that_python_drops_in_a_finalizer_comes_again(name, more):
     code = SWALLOWING.format(name=name, more=more)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=15)
     assert done.stdout == f"interrupted by {getattr(signal, name).value}\n" and done.stderr == ""
+
+
+@pytest.mark.parametrize("is_ended", [False, True])
+def test_what_cannot_be_finalized_after_a_signal_is_not_told(is_ended, monkeypatch):
+    """Before a signal Python tells of it as usual."""
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda unraisable: told.append(unraisable.exc_type))
+
+    class HalfMade:
+        def __del__(self) -> None:
+            self.never_set.close()
+
+    with interrupt.command_signals() as command:
+        if is_ended:
+            command.note(signal.SIGTERM)
+        made = HalfMade()
+        del made
+    assert told == [] if is_ended else told == [AttributeError]
