@@ -228,6 +228,7 @@ class MapView:
     def moved(self, position: Array) -> None:
         """Take in where the robot is, (2,), and that it fits on its way there; it may begin inside the inflation."""
         cells = track_cells(np.array([position if self._last is None else self._last, position]), self.cell_m)
+        cells = np.unique((cells[:, None] + disc(1.0)).reshape(-1, 2), axis=0)  # a way without steps across corners
         at, is_start = self._inside(cells), self._last is None
         self._last = position
         if not is_start and (self.blocked[at].any() or not self._driven[at].all()):

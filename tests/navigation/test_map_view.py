@@ -109,6 +109,21 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     assert len(between) > 9 and view.unknown_share(between) == 0.0
 
 
+@pytest.mark.parametrize("end", [(0.625, 0.575), (-0.475, 0.525), (0.43, -0.21)])
+def test_where_the_robot_has_been_no_step_leads_across_a_corner_alone(end: tuple[float, float]) -> None:
+    rng, grid = np.random.default_rng(3), Grid(CONFIG.grid, RADIUS_M)
+    for _ in range(9):
+        see(grid, rng)
+    view = MapView(REGION, RADIUS_M, CONFIG)
+    view.update(grid)
+    begin = np.array([0.075, 0.025])  # a diagonal from here passes corners of cells
+    for place in (begin, np.array(end)):
+        view.moved(place)
+    labels, parts = ndimage.label(view._driven)
+    assert parts == 1 and labels[view.cell(begin)] == labels[view.cell(np.array(end))] == 1
+    assert not (view.blocked & view._driven & (view._stops < 2) & view.seen).any()
+
+
 def test_changes_are_told_where_obstacles_wanted_and_reached_cells_differ() -> None:
     rng, grid = np.random.default_rng(2), Grid(CONFIG.grid, RADIUS_M)
     view = MapView(REGION, RADIUS_M, CONFIG)
