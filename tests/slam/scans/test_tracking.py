@@ -10,7 +10,7 @@ from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.alignment import Prior, Views
-from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Usual, informations_in_world, search, track
+from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Usual, informations_in_world, refine, search, track
 
 FIRST, TRUE = Pose(-1.2, 0.7, 0.4), Pose(-0.9, 0.8, 0.6)
 USUAL = Usual(0.05, 0.6)
@@ -85,3 +85,17 @@ def test_what_is_usual_is_learnt_from_one_scan_in_fifty():
     few, many = (track(views, prior, TRUE.array()[None], Usual(0.11, lines), False).usual for lines in (0.3, 0.7))
     assert few.contradicted == pytest.approx(0.98 * 0.11, rel=1e-12)
     assert many.lines - few.lines == pytest.approx(0.98 * 0.4, rel=1e-12)
+
+
+def test_returns_of_a_larger_variance_count_as_a_prior_of_more_information_makes_them():
+    """The pose is that of the ratio of both alone; what the scan says is as much less."""
+    said = Pose.from_array(compose(TRUE.array(), np.array([0.03, -0.02, 0.01])))
+    views, prior = views_and_prior(scan_at(TRUE), said, (0.004, 0.003, 0.002))
+    firm = prior._replace(slip_sigmas=np.inf)
+    less, alike = (
+        refine(views._replace(factor=6.5), firm),
+        refine(views, firm._replace(information=6.5 * firm.information)),
+    )
+    np.testing.assert_allclose(less.pose, alike.pose, atol=1e-9)
+    np.testing.assert_allclose(6.5 * less.information, alike.information, rtol=1e-9)
+    assert np.hypot(*(less.pose - refine(views, firm).pose)[:2]) > 0.001
