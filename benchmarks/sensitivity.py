@@ -34,13 +34,14 @@ LOG = "fr079"
 GROUPS = {
     "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "alignment.NORMALS_AGREE"),
     "normals": ("returns._REACH_M", "returns._GRAZING_RAD"),
-    "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links.SEEN_SHARE"),
-    "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph._RECENT_LOSS", "graph.OLD_LOSS"),
-    "links": ("graph.RECENT", "graph._OLD", "graph.REACH_M", "graph.AGREEMENT"),
+    "gates": ("links.NEAR_GATE_M", "links.WIDE_GATE_M", "links.SEEN_SHARE"),
+    "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph.LOSS"),
+    "links": ("graph.LINKS", "graph.REACH_M", "graph.AGREEMENT"),
     "visibility": ("visibility._LEAST_JUDGED",),
-    "odometry": ("motion_source.WHEELS_M_PER_M", "motion_source._RAD_PER_RAD", "motion_source._UNSTEADY"),
+    "odometry": ("motion_source.WHEELS_M_PER_M", "motion_source._RAD_PER_RAD", "motion_source.UNSTEADY"),
     "slips": (
-        "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._LOST", "tracking._CLEARLY", "front_end._NEWEST_SHARE",
+        "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._SLIPS", "tracking._TELLS_NOTHING",
+        "tracking._NEWEST_SHARE",
     ),
     "uncertainty": (
         "loop_closures._DRIFT_M", "loop_closures._DRIFT_RAD",

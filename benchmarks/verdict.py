@@ -86,7 +86,8 @@ def main() -> None:
 def make_runs() -> None:
     began, sources = time.monotonic(), {}
     both = [[(half, *job) for job in verdict_runs.jobs(half)] for half in ("fit", "judge")]
-    for half, name, front, damage in [job for pair in zip(*both, strict=True) for job in pair]:
+    jobs = (job for pair in itertools.zip_longest(*both) for job in pair if job is not None)
+    for half, name, front, damage in jobs:
         file = RUNS / half / f"{name}.{front}.{damage}.npz"
         if file.exists():
             continue

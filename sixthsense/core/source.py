@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
+
+Duration = TypeVar("Duration", float, Array)
+
+
+def seconds(duration_ns: Duration) -> Duration:
+    """A duration, or (n,) of them, in seconds."""
+    return 1e-9 * duration_ns
 
 
 @dataclass(frozen=True, slots=True)

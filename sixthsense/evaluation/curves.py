@@ -10,6 +10,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.se2 import composed_covariance, relative, triple
+from sixthsense.core.source import seconds
 from sixthsense.evaluation import metrics
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
@@ -89,7 +90,7 @@ def key_places(trace: Trace, over: Over) -> Array:
 
 def key_times(trace: Trace) -> Array:
     """(K,) seconds from the first scan to each keyframe."""
-    return 1e-9 * (np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+    return seconds((np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64))
 
 
 def key_distances(trace: Trace) -> Array:
@@ -101,7 +102,7 @@ def scan_places(trace: Trace, over: Over) -> Array:
     """(S,) where the scans lie on an axis of time or distance."""
     if over == "distance":
         return _scan_distances(trace)
-    return 1e-9 * (np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+    return seconds((np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64))
 
 
 def _scan_distances(trace: Trace) -> Array:

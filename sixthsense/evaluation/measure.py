@@ -8,6 +8,7 @@ import numpy as np
 
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import wrap_angle
+from sixthsense.core.source import seconds
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import defined_poses
@@ -60,7 +61,7 @@ def measure(trace: Trace) -> Metrics:
         out["plans_below_margin"], out["guard_stops"] = trace.plans_below_margin, trace.guard_stops
     if trace.plans_by_astar is not None:
         out["plans_by_astar"] = trace.plans_by_astar
-    sim_time_s = 1e-9 * (trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
+    sim_time_s = seconds(trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
     out["sim_time_s"] = sim_time_s
     out |= _timing(trace, sim_time_s)
     return out
@@ -70,7 +71,7 @@ def _evidence(trace: Trace) -> dict[str, float]:
     """What was used of the source, and how much of the area was seen."""
     out: dict[str, float] = {"scans": len(trace.stamps_ns), "keyframes": len(trace.key_stamps_ns)}
     if len(trace.stamps_ns) > 1:
-        out["largest_gap_s"] = 1e-9 * float(np.diff(trace.stamps_ns).max())
+        out["largest_gap_s"] = seconds(float(np.diff(trace.stamps_ns).max()))
     if trace.grid is not None and (area_m2 := trace.grid.seen_area_m2):
         out["area_seen_m2"] = area_m2
     return out

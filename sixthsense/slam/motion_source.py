@@ -199,7 +199,7 @@ class LastVelocity:
         motion = Pose(chord[0], chord[1], turn)
         by_since, by_motion = compose_jacobians(since.theta, motion)
         # Moments of the integral of the process and of the process, Singer 1970.
-        of_way = _SIGMAS**2 * _TAUS_S**2 * (2.0 * ratio - 3.0 + 4.0 * kept - kept**2)
+        of_way = _SIGMAS**2 * _TAUS_S**2 * (2 * ratio - 3 + 4 * kept - kept**2)
         of_both, of_velocity = _SIGMAS**2 * _TAUS_S * (1.0 - kept) ** 2, _SIGMAS**2 * (1.0 - kept**2)
         by_velocity = by_motion * way_s
         self._since_key_s += step_s
@@ -255,7 +255,7 @@ class LastVelocity:
         """
         if not self._since_key_s:
             return since
-        told = np.maximum(1.0 - np.diag(self._cov) / _SIGMAS**2, math.exp(-4.0))
+        told = np.maximum(1.0 - np.diag(self._cov) / _SIGMAS**2, math.exp(-4))
         age_s = np.maximum(-0.5 * _TAUS_S * np.log(told), 0.0)
         factors = np.sqrt(1.0 + age_s / self._since_key_s)
         return Odometry(since.motion, since.cov * np.outer(factors, factors))

@@ -11,6 +11,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
+from sixthsense.core.source import seconds
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
@@ -45,7 +46,7 @@ class Step:
     def __repr__(self) -> str:
         x, y, theta = self.pose.x, self.pose.y, self.pose.theta
         what = "keyframe" if self.keyframe is not None else "scan" if self.scan is not None else "odometry"
-        return f"<Step at {1e-9 * self.stamp_ns:.3f} s, {what}: x {x:.3f} m, y {y:.3f} m, theta {theta:.4f} rad>"
+        return f"<Step at {seconds(self.stamp_ns):.3f} s, {what}: x {x:.3f} m, y {y:.3f} m, theta {theta:.4f} rad>"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Tick, seconds
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
@@ -263,7 +263,7 @@ class Slam:
         if last is None:
             self._T_world_odom = self._start @ tick.odometry.inverse()
             return None
-        duration_s = 1e-9 * (tick.stamp_ns - last.stamp_ns)
+        duration_s = seconds(tick.stamp_ns - last.stamp_ns)
         return self._motion.increment(last.odometry, tick, duration_s, self._front_end.since.motion)
 
     def _without_moving(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.source import seconds
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.verdict.disagreement import (
     Disagreement,
@@ -35,6 +38,7 @@ from sixthsense.verdict.views import (
 )
 from sixthsense.verdict.witnesses import Witnesses
 
+_SIDE = NEXT + 2  # keyframes on each side of a cut that tell what scans contradict there anyway
 WINDOW_M = 10.0
 """of travel, over which a keyframe's pose is judged"""
 
@@ -74,7 +78,7 @@ def evidence_of(found: Witnesses) -> Evidence:
     """The evidence in what a run has left behind."""
     count = len(found.trajectory)
     travel, rows = travelled(found.trajectory), np.maximum(found.keys, 0)
-    stamps_s = np.asarray(1e-9 * (found.stamps_ns - found.stamps_ns[:1]), dtype=np.float64)
+    stamps_s = seconds((found.stamps_ns - found.stamps_ns[:1]).astype(np.float64))
     wheels = None if found.wheels is None or not len(rows) else found.wheels[rows]
     measured = found.is_measured & (found.keys >= 0)
     off = disagreement(wheels, found.trajectory, measured)
@@ -105,14 +109,26 @@ def _cuts(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Arr
 
     A single scan that fits nothing is no cut if the next ones fit those before.
     """
-    is_near = pairs[:, 1] - pairs[:, 0] <= NEXT
-    own, shares = pairs[is_near], share(found[is_near].astype(np.float64))
-    best = np.full(count, np.inf)
-    for later in range(NEXT):
-        at = own[:, 1] - later
-        spans = (own[:, 0] < at) & np.isfinite(shares)
-        np.minimum.at(best, at[spans], shares[spans])
-    return np.where(np.isinf(best), np.nan, best)
+    steps = pairs[:, 1] - pairs[:, 0]
+    is_near = steps <= NEXT
+    shares = np.full((count, NEXT + 1), np.nan)  # of each keyframe and the one that is so many before it
+    shares[pairs[is_near, 1], steps[is_near]] = share(found[is_near].astype(np.float64))
+    across = [(late, step) for late in range(NEXT) for step in range(late + 1, NEXT + 1)]
+    within = [(late, step) for late in range(1, _SIDE) for step in range(1, min(late, NEXT) + 1)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # what nothing has judged is not known
+        least = np.nanmin(_shifted(shares, across), axis=0)
+        after = np.nanmedian(_shifted(shares, within), axis=0)
+        before = np.nanmedian(_shifted(shares, [(late - _SIDE, step) for late, step in within]), axis=0)
+    return np.asarray(np.maximum(least - np.fmax(np.fmax(before, after), 0.0), 0.0))
+
+
+def _shifted(shares: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+    """(m, K) shares, (K, NEXT + 1), of pairs (later keyframe by its distance from each, steps between the two)."""
+    own = np.arange(len(shares)) + np.array([late for late, _ in pairs])[:, None]
+    steps = np.array([step for _, step in pairs])[:, None]
+    is_there = (own >= 0) & (own < len(shares))
+    return np.where(is_there, shares[np.where(is_there, own, 0), steps], np.nan)
 
 
 def _overlaps(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:

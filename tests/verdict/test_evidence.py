@@ -156,6 +156,16 @@ def test_one_scan_that_fits_nothing_is_no_cut_and_a_place_that_no_pair_spans_is_
         )
 
 
+def test_what_scans_contradict_on_either_side_alone_is_no_cut():
+    """Where a laser meets the ground of a slope each scan contradicts the next; the robot may be carried there, too."""
+    pairs = np.array([(k, k + step) for k in range(16) for step in (1, 2, 3) if k + step < 16])
+    on_slope = np.tile([45, 45, 0, 90], (len(pairs), 1))
+    assert _cuts(pairs, on_slope, 16)[1:].max() == 0.0
+    apart = (pairs[:, 0] < 8) & (pairs[:, 1] >= 8)
+    cuts = _cuts(pairs, np.where(apart[:, None], [6, 84, 0, 90], on_slope), 16)
+    assert cuts[8] == pytest.approx((84 - 45) / 105) and np.delete(cuts, [0, 8]).max() < 0.01
+
+
 def test_a_scan_seen_in_a_mirror_is_itself_when_it_is_seen_in_one_again():
     scan = ticks()[4].scan
     assert scan is not None and config().laser.mirrored is False

@@ -26,6 +26,7 @@ from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.landmarks import Observation, initialize_landmark, line_point
 from sixthsense.core.laser import Scan, Sweep
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.source import seconds
 
 LONGEST_SWEEP_NS = 1_000_000_000
 """Longest duration of a sweep."""
@@ -67,7 +68,7 @@ class Deskewer:
         stamps_s, poses, whole = [0.0], [Pose().array()], STANDSTILL
         for (_, increment), (stamp_ns, _) in itertools.pairwise(reversed(self._ticks)):
             whole = increment.then(whole)
-            stamps_s.append(1e-9 * (stamp_ns - end_ns))
+            stamps_s.append(seconds(stamp_ns - end_ns))
             poses.append(whole.motion.inverse().array())
             if stamps_s[-1] <= begin_s:
                 break

@@ -22,23 +22,24 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.se2 import between, compose, largest_variance, seen_motions, whitenings
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
-from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
+from sixthsense.slam.scans.links import NEAR_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import Usual
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
-RECENT = 4  # keyframes before a keyframe that it is linked to
-_OLD = 4  # most links of a keyframe to old ones
+Keys = NDArray[np.int64]
+NO_KEYS: Keys = np.zeros(0, dtype=np.int64)
+
+LINKS = 4  # of a keyframe to those before it, and to old ones at most
 OLD_AGE = 25  # keyframes; nearer ones are of the same pass
-_LINKED_LATELY = 6  # keyframes back from the newest whose old partners' neighbours are linked
-_ALONG = 8  # keyframes to either side of an old partner
+_AROUND = 8  # keyframes before the newest whose old partners are followed, and to either side of each partner
 REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
 M_PER_RAD = 0.5  # what a turn counts as a distance
 AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
-_NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
+_PERIOD = 10  # keyframes between two times that all poses are read: each costs a solution; those since then always are
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
-_RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
+LOSS = 4.0  # scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)
 
 
 class LinkKind(Enum):
@@ -122,25 +123,20 @@ class ScanGraph:
         self.poses[:] = compose(self.estimator.trajectory(), self._mount)
         self._refreshed, self._factors = self.count, None
 
-    def link(self, key: int, old: NDArray[np.int64], closure: int | None) -> list[int]:
-        """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones.
+    def recent(self, key: int) -> Keys:
+        """The keyframes just before a keyframe, since the robot was last carried."""
+        return np.arange(max(self.first, key - LINKS), key)
 
-        All at once: each time costs the estimator a solution.
+    def link(self, key: int, recent: Keys, old: Keys, closure: int | None) -> list[int]:
+        """Link a keyframe to recent ones and to old ones near it; ids of the links to old ones.
+
+        Poses relative to it are known to some decimetres. All at once: each time costs the estimator a solution.
         """
-        recent = np.arange(max(self.first, key - RECENT), key)
-        is_old = np.arange(len(recent) + len(old)) >= len(recent)
-        gates_m = np.where(is_old, NEAR_GATE_M, TRACKED_GATE_M)
-        found = align_with(self.store.returns, np.concatenate([recent, old]), key, self.poses, gates_m)
+        targets, is_old = np.concatenate([recent, old]), np.arange(len(recent) + len(old)) >= len(recent)
+        found = align_with(self.store.returns, targets, key, self.poses, NEAR_GATE_M)
         is_good = found.agree(AGREEMENT, self.usual_agreement) & (~is_old | (found.moved_m < WIDE_GATE_M))
         good = np.flatnonzero(is_good)
-        return self.give(found.rows(good), is_old[good], OLD_LOSS, closure)
-
-    def link_old(self, key: int, targets: NDArray[np.int64], closure: int | None) -> list[int]:
-        """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres; their ids."""
-        found = align_with(self.store.returns, targets, key, self.poses, np.full(len(targets), NEAR_GATE_M))
-        is_good = found.agree(AGREEMENT, self.usual_agreement) & (found.moved_m < WIDE_GATE_M)
-        good = np.flatnonzero(is_good)
-        return self.give(found.rows(good), np.ones(len(good), dtype=np.bool_), OLD_LOSS, closure)
+        return self.give(found.rows(good), is_old[good], LOSS, closure)
 
     def give(self, found: Alignments, is_old: NDArray[np.bool_], loss_scale: float, closure: int | None) -> list[int]:
         """Give aligned pairs to the estimator as links, of one pass or to old keyframes; the ids of the latter."""
@@ -159,11 +155,11 @@ class ScanGraph:
                 found.targets.tolist(), sources, found.poses, covs, is_old.tolist(), strict=True
             )
         ]
-        ids = self._add(links, [loss_scale if old else _RECENT_LOSS for old in is_old])
+        ids = self._add(links, [loss_scale if old else LOSS for old in is_old])
         # The newest poses have moved, and those that links lead to; all of them are read from time to time.
-        keys = sorted({*range(max(0, self.count - _NEWEST), self.count), *found.targets[is_old].tolist()})
+        keys = sorted({*range(max(0, self.count - _PERIOD), self.count), *found.targets[is_old].tolist()})
         self.poses[keys] = compose(self.estimator.poses_at(keys), self._mount)
-        if self.count - self._refreshed >= _REFRESH_PERIOD:
+        if self.count - self._refreshed >= _PERIOD:
             self.refresh()
         return [i for i, old in zip(ids, is_old, strict=True) if old]
 
@@ -253,7 +249,7 @@ class ScanGraph:
             links = list(itertools.islice(reversed(self.links), _FACTOR_LINKS))
             sources, are_old = self._ends[links, 1], self._are_old[links]
             passes, keys = len(np.unique(2 * sources + are_old)), len(np.unique(sources))
-            redundancy = 3.0 * passes * (1.0 - keys / max(len(links), 1))
+            redundancy = 3 * passes * (1.0 - keys / max(len(links), 1))
             squares = self.squares(links)
             unscaled = squares * np.array([self.links[i].scale for i in links])
             now, before = ((float(s.sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR) for s in (squares, unscaled))
@@ -272,24 +268,24 @@ class ScanGraph:
         links = (self.links[i] for i in self._of.get(key, ()))
         return [link.target for link in links if link.kind is LinkKind.OLD]
 
-    def near_linked(self, key: int) -> NDArray[np.int64]:
+    def near_linked(self, key: int) -> Keys:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
         around: set[int] = set()
-        for other in range(max(0, key - _LINKED_LATELY), key):
+        for other in range(max(0, key - _AROUND), key):
             for old in self.linked_old(other):
-                around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - OLD_AGE)))
+                around.update(range(max(0, old - _AROUND), min(old + _AROUND + 1, key - OLD_AGE)))
         candidates = np.array(sorted(around), dtype=np.int64)
         return self.nearest(key, candidates[self.is_kept[candidates]])
 
-    def nearest(self, key: int, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
+    def nearest(self, key: int, candidates: Keys) -> Keys:
         """Those of the candidates whose views overlap that of a keyframe most, by their poses."""
         off = between(self.poses[key], self.poses[candidates])
         distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
         near = np.flatnonzero((distance < REACH_M) & (turn < REACH_RAD))
         order = np.argsort(distance[near] + M_PER_RAD * turn[near], kind="stable")
-        return candidates[near[order][:_OLD]]
+        return candidates[near[order][:LINKS]]
 
-    def overlapping(self, key: int, pose: Array, candidates: NDArray[np.int64], reach_m: float) -> NDArray[np.int64]:
+    def overlapping(self, key: int, pose: Array, candidates: Keys, reach_m: float) -> Keys:
         """Rows of `candidates` whose views overlap that of keyframe `key` if it is at `pose` (3,), the most first.
 
         What counts is the distance between the centres of what the scans see: a laser that looks forward sees from
@@ -335,12 +331,12 @@ class Closings:
 
     def link(self, key: int) -> None:
         """Link a new keyframe to those before it, and to old ones around those that they are linked to."""
-        self._graph.link(key, self._graph.near_linked(key), self._latest)
+        self._graph.link(key, self._graph.recent(key), self._graph.near_linked(key), self._latest)
 
-    def link_old(self, key: int, targets: NDArray[np.int64]) -> None:
+    def link_old(self, key: int, targets: Keys) -> None:
         """Link a keyframe to old ones near it."""
         if len(targets):
-            self._graph.link_old(key, targets, self._latest)
+            self._graph.link(key, NO_KEYS, targets, self._latest)
 
     def close(self, links: list[tuple[Alignments, int]]) -> bool:
         """Close a loop with the links of a place, rows of alignments; whether it stays closed."""
@@ -349,7 +345,7 @@ class Closings:
         self.accepted += 1
         broken = self._broken(closure)
         given = graph.give(Alignments.of(links), np.ones(len(links), dtype=np.bool_), np.inf, closure)
-        ids = graph.with_loss(given, OLD_LOSS)
+        ids = graph.with_loss(given, LOSS)
         self._own[closure] = ids
         while contradicted := [g for g in self._own if self._contradiction(g) > _CONTRADICTION]:
             self._undo(max(contradicted, key=self._contradiction))
@@ -380,7 +376,6 @@ class Closings:
             self._latest = max(self._own, default=None)
 
 
-_BATCH = 10  # keyframes that leave together: each time costs the estimator a solution
 _NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
 _ENOUGH = 8  # such keyframes
 _LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
@@ -406,14 +401,14 @@ class Thinning:
             # A loop may have been closed with some of them since they were judged.
             own_keys = self._closings.own_keys()
             self._spare = [k for k in self._spare if k not in own_keys]
-        if len(self._spare) >= _BATCH:
+        if len(self._spare) >= _PERIOD:
             self._graph.take_out(self._spare)
             self._spare = []
 
     def _is_spare(self, k: int) -> bool:
         """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough."""
         graph = self._graph
-        if any(len(graph.linked_old(j)) < _LEAST_OLD_LINKS for j in range(k, k + RECENT + 1)):
+        if any(len(graph.linked_old(j)) < _LEAST_OLD_LINKS for j in range(k, k + LINKS + 1)):
             return False
         kept = graph.is_kept[:k].copy()
         kept[self._spare] = False

@@ -35,8 +35,8 @@ from sixthsense.slam.scans.alignment import (
 from sixthsense.slam.scans.returns import Returns
 from sixthsense.slam.scans.visibility import compare_views
 
-TRACKED_GATE_M, NEAR_GATE_M, WIDE_GATE_M = 0.15, 0.25, 0.5
-"""first gates of pairs whose relative pose is known to centimetres, to two decimetres, and to half a metre"""
+NEAR_GATE_M, WIDE_GATE_M = 0.25, 0.5
+"""first gates of pairs whose relative pose is known to two decimetres, and to half a metre"""
 _ANCHOR = 1.0  # returns' worth that holds the start value where the scans say nothing; no information of the link
 LEAST_HITS = 20  # partners found, both ways
 SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
@@ -113,23 +113,16 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     return out
 
 
+def align_with(returns: Returns, targets: NDArray[np.int64], key: int, poses: Array, gate_m: float) -> Alignments:
+    """Align a scan with others from where their `poses` (K, 3) say."""
+    return align_pairs(returns, targets, np.full(len(targets), key), between(poses[targets], poses[key]), gate_m)
+
+
+@numba.njit(cache=True, error_model="numpy")
 def align_pairs(
     returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gate_m: float
 ) -> Alignments:
     """Align pairs of scans from the relative poses `starts` (m, 3), and compare their views."""
-    return _aligned(returns, targets, sources, starts, np.full(len(targets), gate_m))
-
-
-def align_with(returns: Returns, targets: NDArray[np.int64], key: int, poses: Array, gates_m: Array) -> Alignments:
-    """Align a scan with others from where their `poses` (K, 3) say, with a first gate (m,) for each."""
-    starts = between(poses[targets], poses[key])
-    return _aligned(returns, targets, np.full(len(targets), key), starts, gates_m)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _aligned(
-    returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gates_m: Array
-) -> Alignments:
     m = len(targets)
     poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
     moved_m = np.empty(m)
@@ -138,7 +131,7 @@ def _aligned(
     for k in range(m):
         target, source, pose = targets[k], sources[k], poses[k]
         prior = Prior(pose.copy(), anchor, math.inf)
-        align(Views(returns, source, targets[k : k + 1], origin, 1.0), prior, gates_m[k], True, pose, sums[k])
+        align(Views(returns, source, targets[k : k + 1], origin, 1.0), prior, gate_m, True, pose, sums[k])
         views[k, 0, 0], views[k, 0, 1], views[k, 0, 2] = compare_views(returns, target, source, pose)
         views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(returns, source, target, inverse(pose))
         moved_m[k] = math.hypot(pose[0] - starts[k, 0], pose[1] - starts[k, 1])

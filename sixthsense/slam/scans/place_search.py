@@ -31,7 +31,7 @@ from sixthsense.slam.scans.graph import AGREEMENT, REACH_M
 from sixthsense.slam.scans.links import LEAST_HITS, SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
 from sixthsense.slam.scans.places import NEAR_M, PLACE, Apart, Pyramid, Window, appearance, peaks, surfaces
 from sixthsense.slam.scans.returns import ScanStore
-from sixthsense.slam.scans.tracking import NEAREST
+from sixthsense.slam.scans.tracking import FREEDOM, NEAREST
 from sixthsense.slam.scans.visibility import explained
 
 RECENT_M = 6.0
@@ -42,15 +42,14 @@ LEAST_POINTS = 60
 _MOST_POINTS = 200
 ANCHORS_APART_M, HALF_M = 3.0, 5.0
 """between the anchors of places, and around each of them to either side"""
-_CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
+_CANDIDATES = 8
 SIGMAS = 2.0  # of a pose within a submap
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
-_FREEDOM = 4.0  # degrees of freedom of Student's distribution of a distance: sigmas may be wrong
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
 _PARTNERS = 2  # known scans that each is compared with
-BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
+BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back and votes count, and between two scans
 _SHIFT_M, _SHIFT_M_PER_M = 0.05, 0.08  # an alignment may shift a scan beyond the one before
 _SHIFT_RAD = 0.1
 _LEAST_SCANS = 3  # that tell about two places which are compared, where there are as many
@@ -60,7 +59,6 @@ _SCANS_BEYOND = 6  # or this many scans more that tell about it
 _LEAST_GOOD, _GOOD_SHARE = 3, 0.4  # pairs that align, and their share of those that tell about the place
 
 NEW_M = 1.5  # travel that shows something new: between two votes that count both, and two searches of alike places
-_LASTS_M = 10.0  # travel after which a vote is dropped
 NEAR = Apart(0.35, 0.06)  # poses that agree about a place
 
 
@@ -273,11 +271,11 @@ def likeliest(places: KnownPlaces, expected: ExpectedPoses, look: Array) -> list
     alike = places.looks @ look
     square = (expected.poses[:, :2] ** 2).sum(axis=1) / (expected.sigma_m**2 + REACH_M**2)
     score = (alike - alike.mean()) / max(float(alike.std()), 1e-3)
-    score -= 0.5 * (_FREEDOM + 2.0) * np.log1p(square / _FREEDOM)
+    score -= 0.5 * (FREEDOM + 2.0) * np.log1p(square / FREEDOM)
     chosen: list[int] = []
     for place in np.argsort(-score, kind="stable").tolist():
         gap = anchors[chosen, :2] - anchors[place, :2]
-        if (np.hypot(gap[:, 0], gap[:, 1]) > _CANDIDATES_APART_M).all():
+        if (np.hypot(gap[:, 0], gap[:, 1]) > REACH_M).all():
             chosen.append(place)
             if len(chosen) == _CANDIDATES:
                 break
@@ -483,7 +481,7 @@ class Votes:
 
     def agreeing(self, vote: Vote) -> list[Vote]:
         """Count a vote: those that say the same, if they are far enough apart and more than half; otherwise none."""
-        lasting = [each for each in self._votes if vote.travelled_m - each.travelled_m < _LASTS_M]
+        lasting = [each for each in self._votes if vote.travelled_m - each.travelled_m < BACK_M]
         self._votes = [*lasting, vote]
         agreeing = [each for each in self._votes if self._agree(each, vote)]
         span = vote.travelled_m - agreeing[0].travelled_m

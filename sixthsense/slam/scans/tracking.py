@@ -378,7 +378,7 @@ def _log_ratio(yes: float, no: float, right: float, wrong: float) -> float:
 @numba.njit(cache=True, error_model="numpy")
 def _rolling(square: float) -> float:
     """Log density of a motion if the wheels have not slipped, over that of one as predicted: Student's distribution."""
-    return -0.5 * (FREEDOM + 3.0) * math.log1p(square / FREEDOM)
+    return -0.5 * (FREEDOM + 3) * math.log1p(square / FREEDOM)
 
 
 @numba.njit(cache=True, error_model="numpy")

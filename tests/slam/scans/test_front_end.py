@@ -176,7 +176,7 @@ def test_a_loop_closure_that_contradicts_the_graph_is_undone_with_what_followed(
     graph, before = front_end._graph, slam.trajectory()
     last = graph.count - 1
     links_before = [graph.linked_old(key) for key in range(graph.count)]
-    found = align_with(graph.store.returns, np.array([0, 1, 2]), last, graph.poses, np.full(3, 0.12))
+    found = align_with(graph.store.returns, np.array([0, 1, 2]), last, graph.poses, 0.12)
     found.poses[:] = found.poses + np.array([0.8, -0.5, 0.3])  # a wrong place
     closings: Closings = front_end.loop_closures.closings
     stands = closings.close([(found, k) for k in range(3)])

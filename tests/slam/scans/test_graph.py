@@ -8,7 +8,7 @@ from rooms import HALF, ROOM, scan_at, stored
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.se2 import between, compose
-from sixthsense.slam.scans.graph import AGREEMENT, ScanGraph
+from sixthsense.slam.scans.graph import AGREEMENT, NO_KEYS, ScanGraph
 from sixthsense.slam.scans.links import SEEN_SHARE, align_with, covariances
 from sixthsense.slam.scans.tracking import Usual
 
@@ -59,7 +59,7 @@ def graph():
 
 @pytest.mark.parametrize("is_old", [False, True])
 def test_scans_are_linked_that_share_as_much_as_scans_usually_do(graph, is_old):
-    found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, np.array([0.12]))
+    found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, 0.12)
     seen, through, count = found.views[0].T
     least = (seen / count).min() / SEEN_SHARE
     assert least < (seen / (seen + through)).min() / AGREEMENT and 0.1 < least < 0.95, "the share seen decides"
@@ -67,9 +67,9 @@ def test_scans_are_linked_that_share_as_much_as_scans_usually_do(graph, is_old):
         graph.usual = Usual(1.0 - usual, 0.5)
         before = len(graph.links)
         if is_old:
-            graph.link_old(1, np.array([0]), None)
+            graph.link(1, NO_KEYS, np.array([0]), None)
         else:
-            graph.link(1, np.array([], dtype=np.int64), None)
+            graph.link(1, graph.recent(1), NO_KEYS, None)
         assert len(graph.links) - before == is_linked
 
 
@@ -82,7 +82,7 @@ def test_scans_are_linked_that_share_as_much_as_scans_usually_do(graph, is_old):
     ],
 )
 def test_all_poses_are_read_anew_when_links_change(graph, change):
-    ids = graph.link_old(2, np.array([0]), None)
+    ids = graph.link(2, NO_KEYS, np.array([0]), None)
     assert ids
     change(graph, ids)
     asked = graph.estimator.asked
@@ -98,14 +98,14 @@ def test_all_poses_are_read_anew_from_time_to_time(graph):
         graph.store.keep()
         graph.estimator.poses = np.vstack([graph.estimator.poses, robot_at(pose)])
         graph.add(pose.array(), MOUNT)
-        graph.link(graph.count - 1, np.array([], dtype=np.int64), None)
+        graph.link(graph.count - 1, graph.recent(graph.count - 1), NO_KEYS, None)
     assert graph.estimator.asked == 1
 
 
 @pytest.mark.parametrize("off_m", [0.0, 0.05])
 def test_returns_count_less_where_links_fit_worse_than_they_state(graph, off_m):
     """By hand: of one link the redundancy is 0, so that its square stands beside a prior of 10 degrees of freedom."""
-    graph.link_old(2, np.array([0]), None)
+    graph.link(2, NO_KEYS, np.array([0]), None)
     for pose in graph.estimator.poses[1:]:
         pose[0] += off_m
     graph.refresh()
@@ -118,8 +118,8 @@ def test_returns_count_less_where_links_fit_worse_than_they_state(graph, off_m):
     expected = max(1.0, (2.5 * square + 10.0) / 10.0)
     assert graph.scale() == pytest.approx(expected) and (graph.scale() > 1.5) == (off_m > 0.0)
     graph.usual = Usual(0.2, 0.5)
-    found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, np.array([0.25]))
-    graph.link_old(1, np.array([0]), None)
+    found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, 0.25)
+    graph.link(1, NO_KEYS, np.array([0]), None)
     newest = graph.links[1]
     assert (newest.target, newest.source) == (0, 1) and newest.scale == pytest.approx(expected)
     np.testing.assert_allclose(newest.cov, expected * covariances(found.sums, np.array([2.0]), 0.01)[0], rtol=1e-9)

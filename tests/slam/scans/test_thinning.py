@@ -8,7 +8,7 @@ from rooms import ROOM, drive, ticks
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.slam.scans.graph import RECENT
+from sixthsense.slam.scans.graph import LINKS
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.slam import Slam
 
@@ -57,11 +57,11 @@ def test_new_territory_stays_bound_to_the_keyframes_before_it(monkeypatch):
     monkeypatch.setattr(graph, "linked_old", lambda k: old.get(k, []))
     graph.poses[:] = 0.0
     assert thinning._is_spare(key)
-    for k in (key, key + RECENT):
+    for k in (key, key + LINKS):
         olds = old.pop(k)
         assert not thinning._is_spare(key)
         old[k] = olds
-    old.pop(key + RECENT + 1)
+    old.pop(key + LINKS + 1)
     assert thinning._is_spare(key)
 
 
