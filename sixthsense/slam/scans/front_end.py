@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,7 @@ from sixthsense.slam.scans.tracking import (
     WheelNoise,
     expected,
     informations_in_world,
+    is_likelier,
     refine,
     search,
     track,
@@ -94,6 +96,8 @@ class ScanFrontEnd:
         self._expected: Expected | None = None
         """of the last scan; None before the second"""
         self._last = LastScan(np.zeros(3), Pose().triple(), Pose().triple())
+        self._lost: set[int] = set()
+        """keyframes whose scans have fitted nothing"""
         self._is_carried = False
         """whether the robot was carried since the last scan: what it saw before tells nothing of where it is"""
         self._scans: list[TrackedScan] = []
@@ -198,10 +202,14 @@ class ScanFrontEnd:
         self._expected = known
         if self._is_carried:
             return None
-        usual, is_guess, newest = graph.usual, source.is_guess, self._store.count
-        recent = range(max(graph.first, newest - _RECENT), newest)
-        views = self._views(row, np.array([*recent, *graph.linked_old(newest - 1)[:_OLD]], dtype=np.int64))
-        tracked = track(views, known.prior, known.starts, usual, is_guess)
+        usual, is_guess = graph.usual, source.is_guess
+        tracked: Tracked | None = None
+        for recent in self._recent():
+            found = track(self._views(row, recent), known.prior, known.starts, usual, is_guess)
+            tracked = found if tracked is None or is_likelier(found, tracked) else tracked
+            if tracked.is_firm:
+                break
+        assert tracked is not None
         if tracked.is_lost or (is_guess and tracked.is_doubted):
             near = self._views(row, self.loop_closures.of_last_metres(self.newest))
             found = search(near, known.prior, usual, is_guess)
@@ -213,6 +221,18 @@ class ScanFrontEnd:
         graph.usual = tracked.usual
         self.pose = Pose(*composed(triple(at), inverted(self._mount)))
         return tracked
+
+    def _recent(self) -> Iterator[NDArray[np.int64]]:
+        """The keyframes that a scan is tracked against: those of the newest that fitted others before it; then all.
+
+        A scan that fits nothing may have been seen from elsewhere than the wheels say: the next ones look past it. They
+        fit it and nothing else where the robot was carried.
+        """
+        newest, old = self._store.count, self._graph.linked_old(self._store.count - 1)[:_OLD]
+        latest = [*range(max(self._graph.first, newest - _RECENT), newest)]
+        fitting = [key for key in latest if key not in self._lost]
+        for recent in [fitting, latest] if 0 < len(fitting) < len(latest) else [latest]:
+            yield np.array([*recent, *old], dtype=np.int64)
 
     def _found(self, tracked: Tracked | None) -> Odometry | None:
         """The motion of the robot since the last keyframe as tracked."""
@@ -252,6 +272,8 @@ class ScanFrontEnd:
         is_carried, self._is_carried = self._is_carried, False
         if is_carried:
             graph.first = key
+        elif tracked is None and key:
+            self._lost.add(key)
         graph.add(guess, mount)
         if known is not None:
             self.loop_closures.moved(key, tracked, known.prior.information, float(self._noise.factors[0]), is_carried)

@@ -234,12 +234,12 @@ def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: boo
         if k > 0:
             by, start, gate_m = Prior(prior.pose, weak, prior.slip_sigmas), starts[k - 1], WIDE_GATE_M
         other = _judged(aligned(views, by, start, gate_m), prior, usual, is_guess)
-        best = other if _is_likelier(other, best) else best
+        best = other if is_likelier(other, best) else best
     return best
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _is_likelier(one: Tracked, other: Tracked) -> bool:
+def is_likelier(one: Tracked, other: Tracked) -> bool:
     """Whether a pose is likelier than another; those that the wheels allow and nothing contradicts come first.
 
     Someone who walks ahead in a corridor is seen where he was, and nothing contradicts the wheels.
@@ -264,7 +264,7 @@ def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
         for row in peaks(pyramid(points), own, window, LEAST_SCORE, PLACE, _MOST):
             place = compose(prior.pose, row[1:])
             other = _judged(aligned(_nearest(views, place), loose, place, WIDE_GATE_M), prior, usual, is_guess)
-            best = other if _is_likelier(other, best) else best
+            best = other if is_likelier(other, best) else best
     return best
 
 

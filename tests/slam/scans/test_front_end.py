@@ -9,6 +9,7 @@ from rooms import CORNERS, RING, ROOM, drive, scan_at, stored, ticks
 from sixthsense.config import LaserConfig, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.alignment import Views
@@ -90,6 +91,19 @@ def test_scans_without_near_returns_are_passed_by_odometry(seen):
             step = slam.take(tick)
             assert np.hypot(*(step.pose.position - poses[k].position)) < 0.1, k
         assert np.isfinite(slam.finish().trajectory).all()
+
+
+def test_scans_look_past_one_that_fits_nothing_and_then_at_it_too():
+    poses = [Pose(-3.0 + 0.3 * k, 2.0 - 0.05 * k, -0.17) for k in range(9)]
+    elsewhere = np.random.default_rng(5).uniform(0.6, 4.0, CONFIG.laser.beams)
+    with Slam(CONFIG, poses[0]) as slam:
+        front_end = slam._front_end
+        for k, tick in enumerate(ticks(poses, ROOM)):
+            scan = Scan.from_config(elsewhere, CONFIG.laser) if k == 6 else tick.scan
+            seen = [keys.tolist() for keys in front_end._recent()]
+            step = slam.take(dataclasses.replace(tick, scan=scan))
+            assert step.keyframe is not None and np.hypot(*(step.pose.position - poses[k].position)) < 0.05
+            assert seen == {7: [[5], [5, 6]], 8: [[7], [6, 7]]}.get(k, [[*range(max(k - 2, 0), k)]])
 
 
 def test_a_robot_that_slips_is_tracked_by_its_scans():
