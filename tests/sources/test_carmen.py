@@ -181,6 +181,47 @@ def test_the_beams_of_a_flaser_line_follow_from_their_number(
     assert any(f"{count} beams from -90 to {last_deg:g} degrees" in line for line in log.remarks())
 
 
+@pytest.mark.parametrize(("count", "span_deg", "step_deg", "side", "turn_rad", "found_deg"), [
+    (181, 180.0, 1.0, 1.0, 0.06, 180.0),
+    (682, 239.765625, 0.3515625, 1.0, 0.06, 240.0),
+    (541, 270.0, 0.5, 1.0, 0.06, 270.0),
+    (360, 360.0, 1.0, 1.0, -0.06, 360.0),
+    (541, 270.0, 0.5, -1.0, 0.06, 270.0),
+    (541, 270.0, 0.5, 1.0, 0.004, 180.0),
+])  # fmt: skip
+def test_the_field_of_view_of_flaser_lines_is_that_which_the_turns_of_odometry_fit(
+    tmp_path: Path, count: int, span_deg: float, step_deg: float, side: float, turn_rad: float, found_deg: float
+) -> None:
+    """Of 60 scans of a robot that turns on the spot; the last one turns too little in all."""
+    bearings, lines = np.radians(-span_deg / 2.0 + step_deg * np.arange(count)), []
+    for k in range(60):
+        pose = Pose(0.3 + 0.002 * k, -0.4, 0.2 + turn_rad * k)
+        ranges = cast_rays(pose, side * bearings, ROOM, 20.0)
+        lines.append(flaser(0.1 * k, ranges, PLACE @ Pose(pose.x, pose.y, 1.03 * pose.theta)))
+    log = read(tmp_path, "".join(lines))
+    assert np.degrees(log.scans[0].bearings[0]) == pytest.approx(-found_deg / 2.0, abs=0.01)
+    assert any("the other way round" in line for line in log.remarks()) == (side < 0.0)
+    assert any("by the turns" in line for line in log.remarks()) == (abs(turn_rad) > 0.01)
+    if found_deg == span_deg and side > 0.0:
+        assert log.scans[0].bearings == pytest.approx(bearings, abs=1e-5)
+
+
+@pytest.mark.parametrize("stamps", [(1.0, 1.5, 2.0), (3.0, 3.0, 3.0)])
+def test_raw_scans_have_the_odometry_between_the_lines_around_them(
+    tmp_path: Path, stamps: tuple[float, float, float]
+) -> None:
+    raw = f"RAWLASER1 0 -1.2 2.4 0.8 30.0 0.01 0 4 1.0 2.0 31.0 4.0 0 {stamps[1]} nohost 0.1\n"
+    robots = [odom(stamps[0], x=1.5), odom(stamps[2], x=2.5)]
+    log = read(tmp_path, robots[0] + raw + robots[1] + "RAWLASER2 1 2\n")
+    assert [tick.odometry.x for tick in log.ticks] == [1.5, 2.0 if stamps[1] < stamps[2] else 1.5, 2.5]
+    assert log.scans[0].ranges.tolist() == [1.0, 2.0, math.inf, 4.0]
+    assert log.scans[0].bearings == pytest.approx([-1.2, -0.4, 0.4, 1.2])
+    assert any("the laser at the robot's centre, since RAWLASER1" in line for line in log.remarks())
+    assert log.has_odometry and not read(tmp_path, raw).has_odometry
+    both = read(tmp_path, robots[0] + raw + flaser(1.7))
+    assert len(both.scans) == 1 and both.scans[0].ranges[0] == 1.0 and len(both.ticks) == 2
+
+
 def test_the_configuration_of_a_replay_reads_the_same_log_again(tmp_path: Path) -> None:
     mount = Pose(-0.04, 0.0, 0.1)
     text = "".join(flaser(k, [1.0, 2.0, 3.0, 4.0], p, mount) for k, p in enumerate(path_of(5)))

@@ -161,7 +161,7 @@ def test_ranges_from_right_to_left_are_told_by_the_turns(tmp_path):
 def test_where_no_frames_lead_to_the_laser_the_note_names_those_that_there_are(tmp_path):
     links = (("static", "robot1/base_link", "robot1/laser", MOUNT),)
     log = open_log(robot_bag(tmp_path / "bag", links=links))
-    assert any("(frames: robot1/base_link, robot1/laser; otherwise set laser.mount)" in n for n in log.remarks())
+    assert any("(frames: robot1/base_link, robot1/laser; otherwise set `laser.mount`)" in n for n in log.remarks())
     mounted = open_log(tmp_path / "bag", LaserConfig(mount=tuple(MOUNT.array())))
     assert off_walls_m(mounted.ticks) < 1e-4
 

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, time_increment
 from sixthsense.core.source import Tick
+from sixthsense.sources.logs.clocks import MIRRORED
+from sixthsense.sources.logs.field_of_view import FIELDS_RAD, seen_ratio
 from sixthsense.sources.logs.laser_geometry import (
     FARTHEST_M,
     MOST_BEAMS,
@@ -36,7 +38,8 @@ from sixthsense.sources.logs.stamps import from_zero_on, passed_s
 from sixthsense.sources.logs.text_lines import LARGEST, Record, records, shown
 from sixthsense.sources.logs.units import SI, Units, check_bearings, check_odometry, check_ranges
 
-FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
+FLASER, ROBOTLASER, RAWLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"RAWLASER1", b"ODOM"
+_SCANS = (ROBOTLASER, FLASER, RAWLASER)
 _ODOM_FIELDS = 10
 """ODOM x y theta tv rv accel ipc_time host logger_time"""
 _FLASER_FIELDS = 11
@@ -45,6 +48,8 @@ _ROBOTLASER_HEAD = 9
 """ROBOTLASER1 type start_angle fov resolution max_range accuracy remission_mode n, before the n ranges"""
 _ROBOTLASER_TAIL = 14
 """x y theta odom_x odom_y odom_theta tv rv front side axis ipc_time host logger_time, after the m remissions"""
+_RAWLASER_TAIL = 3
+"""ipc_time host logger_time, after the m remissions; before these as in ROBOTLASER1"""
 _PARAMS = (b"robot_frontlaser_offset", b"robot_front_laser_max")
 _MOST_DAMAGED = 1000
 """Lines without one that can be read, after which a file is none of this kind."""
@@ -73,7 +78,7 @@ class _Reading(NamedTuple):
     stamp_ns: int
     stamp_s: float
     poses: Array
-    """(2, 3) `T_odom_laser` and `T_odom_robot`; the latter twice on a line without a scan"""
+    """(2, 3) `T_odom_laser` and `T_odom_robot`; the latter twice on a line that has no scan or states no pose"""
     geometry: _Geometry | None
     ranges: NDArray[np.float32]
     """(beams,) metres, at least 0, or inf"""
@@ -98,10 +103,11 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
     """Read a CARMEN log: plain, gzip or bzip2, recognised by the first bytes.
 
     The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more, ROBOTLASER1 if they are as many;
-    other messages, as those of a rear laser, are skipped. The lines say the number of beams, their directions (a
-    FLASER line by its number of beams, see `beams_by_count`), the laser's mount on the robot (the difference of the
-    two poses of a line) and its maximum range (as stated, or the value that beams without a return repeat). A field of
-    `laser` that was stated takes precedence.
+    without either, those of the RAWLASER1 lines, with odometry interpolated at their stamps. Other messages, as those
+    of a rear laser, are skipped. The lines say the number of beams, their directions (a FLASER line by its number of
+    beams, see `beams_by_count`, and by the turns that odometry sees, too), the laser's mount on the robot (the
+    difference of the two poses of a line) and its maximum range (as stated, or the value that beams without a return
+    repeat). A field of `laser` that was stated takes precedence.
 
     Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Each scan has the beams
     and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
@@ -115,13 +121,17 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
     kind = _kind_of_scans(path, content, remarks)
     remarks += [f"{content.unmeasured} ranges that are negative or no number are no returns"] * (content.unmeasured > 0)
     content.readings = [r for r in content.readings if r.geometry is None or r.kind == kind]
+    has_odometry = kind != RAWLASER or content.kinds[ODOM] > 0
+    if kind == RAWLASER and has_odometry:
+        content.readings = _with_odometry(content.readings)
     geometries = _geometries(path, content.readings, given.beams if "beams" in names else None, remarks)
     scans = [r for r in content.readings if r.geometry in geometries]
     check_ranges(str(path), [reading.ranges for reading in scans])
     _check_odometry(path, content.readings)
-    place = Pose(*given.mount) if "mount" in names else _mount(scans, content, remarks)
+    place = Pose(*given.mount) if "mount" in names else _mount(kind, scans, content, remarks)
     reach = given.max_range if "max_range" in names else None
     lasers = _lasers(scans, geometries, given.fov if "fov" in names else None, reach, content, remarks)
+    lasers = _by_turns(scans, lasers, given, remarks)
     reach_of: dict[_Geometry | None, float] = {geometry: each.reach for geometry, each in lasers.items()}
     if not any(((r.ranges > 0.0) & (r.ranges < np.float32(reach_of[r.geometry]))).any() for r in scans):
         allowed = f"ranges above 0 and below {max(reach_of.values()):g} m"
@@ -129,17 +139,18 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
     most = lasers[geometries[0]]
     known = described(given, geometries[0].beams, most.beams.step, most.reach, place)
     ticks = _ticks(content.readings, lasers, known, remarks)
-    return Log(without_jumps(ticks, [r.stamp_ns for r in content.readings], remarks), known, remarks)
+    ticks = list(without_jumps(ticks, [r.stamp_ns for r in content.readings], remarks))
+    return Log(ticks, known, remarks, has_odometry)
 
 
 def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:
-    """The message whose lines are the scans; InputError if the log has neither."""
+    """The message whose lines are the scans; InputError if the log has none of them."""
     kinds = content.kinds
-    if not kinds[FLASER] and not kinds[ROBOTLASER]:
+    if not any(kinds[kind] for kind in _SCANS):
         counts = (f"{count} {kind.decode()}" for kind, count in kinds.most_common(5) if count)
         found = ", ".join(counts) or "no line at all"
-        raise InputError(path, f"found no FLASER or ROBOTLASER1 line ({found})", "a log with laser scans")
-    kind = FLASER if kinds[FLASER] > kinds[ROBOTLASER] else ROBOTLASER
+        raise InputError(path, f"found no FLASER, ROBOTLASER1 or RAWLASER1 line ({found})", "a log with laser scans")
+    kind = max((kind for kind in _SCANS[:2] if kinds[kind]), key=lambda kind: kinds[kind], default=RAWLASER)
     if kinds[FLASER] and kinds[ROBOTLASER]:
         both = f"found {kinds[FLASER]} FLASER and {kinds[ROBOTLASER]} ROBOTLASER1 lines"
         remarks.append(f"{both}; the scans are those of {kind.decode()}")
@@ -185,7 +196,7 @@ def _lasers(
             own = [r for r in scans if r.geometry is not None and r.geometry.max_range == geometry.max_range]
             found = _max_range(own, geometry.max_range, content, remarks) if reach is None else reach
             reaches[geometry.max_range] = found
-    return {each: _Laser(_beams(each, fov, remarks), reaches[each.max_range]) for each in geometries}
+    return {each: _Laser(_beams(each, fov), reaches[each.max_range]) for each in geometries}
 
 
 def _check_odometry(path: Path, readings: Sequence[_Reading]) -> None:
@@ -193,7 +204,7 @@ def _check_odometry(path: Path, readings: Sequence[_Reading]) -> None:
     check_odometry(str(path), passed_s([reading.stamp_ns for reading in readings]), poses)
 
 
-def _beams(geometry: _Geometry, fov: float | None, remarks: list[str]) -> Beams:
+def _beams(geometry: _Geometry, fov: float | None) -> Beams:
     count = geometry.beams
     if geometry.fov > 0.0:
         beams = beams_as_stated(count, geometry.start, geometry.fov, geometry.resolution)
@@ -201,23 +212,69 @@ def _beams(geometry: _Geometry, fov: float | None, remarks: list[str]) -> Beams:
         beams = beams_by_count(count)
     if fov is not None and abs(fov - beams.step * (count - 1)) > 1e-9:  # else it is that of a saved configuration
         return beams_over(fov, count)
-    if geometry.fov <= 0.0 and fov is None:
-        first, step = math.degrees(beams.first), math.degrees(beams.step)
-        remarks.append(
-            f"assumed: {count} beams from {first:g} to {first + step * (count - 1):g} degrees, since a FLASER line "
-            "does not say their directions (otherwise set laser.fov)"
-        )
     return beams
 
 
-def _mount(scans: Sequence[_Reading], content: _Lines, remarks: list[str]) -> Pose:
-    if (place := mount_from_poses(*np.stack([r.poses for r in scans], axis=1))) is not None:
+def _by_turns(
+    scans: Sequence[_Reading], lasers: Mapping[_Geometry, _Laser], given: LaserConfig, remarks: list[str]
+) -> dict[_Geometry, _Laser]:
+    """The lasers with the beams that fit the turns of odometry, where nobody states them; remarks on what is assumed.
+
+    Scans that turn the other way round are told, and not mirrored: odometry may be as wrong.
+    """
+    out = dict(lasers)
+    for geometry, (beams, reach) in lasers.items():
+        own = [reading for reading in scans if reading.geometry == geometry]
+        is_stated = geometry.fov > 0.0 or "fov" in given.explicit_fields
+        fields = (math.pi,) if is_stated else FIELDS_RAD
+        side = -1.0 if given.mirrored else 1.0
+        ratios = [sign * field / math.pi for sign in (side, -side) for field in fields]
+        made = [Scan(r.ranges, np.float32(beams.first), np.float32(beams.step), reach) for r in own]
+        ratio = seen_ratio(made, np.array([reading.poses[1] for reading in own]), ratios)
+        if ratio is not None and ratio * side < 0.0:
+            remarks.append(MIRRORED)
+        if is_stated:
+            continue
+        if ratio is not None:
+            out[geometry] = _Laser(beams_by_count(geometry.beams, abs(ratio) * math.pi), reach)
+        first, step = (math.degrees(angle) for angle in out[geometry].beams)
+        by = "" if ratio is None else ", by the turns that odometry and scans see"
+        remarks.append(
+            f"assumed: {geometry.beams} beams from {first:g} to {first + step * (geometry.beams - 1):g} degrees{by}, "
+            "since a FLASER line does not say their directions (otherwise set `laser.fov`)"
+        )
+    return out
+
+
+def _mount(kind: bytes, scans: Sequence[_Reading], content: _Lines, remarks: list[str]) -> Pose:
+    place = None if kind == RAWLASER else mount_from_poses(*np.stack([r.poses for r in scans], axis=1))
+    if place is not None:
         return place
     ahead_m = content.params.get(b"robot_frontlaser_offset", 0.0)
     where = f"{ahead_m:g} m ahead of the robot's centre (robot_frontlaser_offset)" if ahead_m else "the robot's centre"
-    why = "since its poses do not move as one body with the robot's"
-    remarks.append(f"assumed: the laser at {where}, {why} (otherwise set laser.mount)")
+    why = (
+        "RAWLASER1 lines do not state it" if kind == RAWLASER else "its poses do not move as one body with the robot's"
+    )
+    remarks.append(f"assumed: the laser at {where}, since {why} (otherwise set `laser.mount`)")
     return Pose(ahead_m, 0.0, 0.0)
+
+
+def _with_odometry(readings: Sequence[_Reading]) -> list[_Reading]:
+    """The readings with odometry at the scans: interpolated at their stamps, or of the line before where these repeat.
+
+    Scans before the first odometry have that.
+    """
+    rows = [row for row, reading in enumerate(readings) if reading.geometry is None]
+    stamps = np.array([readings[row].stamp_s for row in rows])
+    poses = np.array([readings[row].poses[1] for row in rows])
+    if np.all(np.diff(stamps) > 0.0):
+        found = interpolated(stamps, poses, np.array([reading.stamp_s for reading in readings]))
+    else:
+        found = poses[np.maximum(np.searchsorted(rows, np.arange(len(readings)), side="right") - 1, 0)]
+    return [
+        reading if reading.geometry is None else reading._replace(poses=np.tile(pose, (2, 1)))
+        for reading, pose in zip(readings, found, strict=True)
+    ]
 
 
 def _max_range(scans: Sequence[_Reading], stated: float, content: _Lines, remarks: list[str]) -> float:
@@ -282,7 +339,7 @@ def _read_lines(path: Path, units: Units, remarks: list[str]) -> _Lines:
 
 def _take(content: _Lines, record: Record) -> None:
     fields, kind = record.fields, record.fields[0]
-    read = {FLASER: _flaser, ROBOTLASER: _robotlaser, ODOM: _odom}.get(kind)
+    read = {FLASER: _flaser, ROBOTLASER: _robotlaser, RAWLASER: _rawlaser, ODOM: _odom}.get(kind)
     if read is not None:
         scan = read(record, content.units)  # which checks the number of fields
         content.unmeasured += int(np.count_nonzero(scan[2] < 0.0))
@@ -291,7 +348,7 @@ def _take(content: _Lines, record: Record) -> None:
         content.readings.append(_Reading(kind, record.stamp_ns(stamp), float(stamp), *scan))
     elif not _MESSAGE_NAME.fullmatch(kind):
         record.fail(f"found {shown(kind)}, allowed: a CARMEN message, as ODOM or FLASER")
-    elif any(name.startswith(kind) for name in (FLASER, ROBOTLASER, ODOM)):
+    elif any(name.startswith(kind) for name in (*_SCANS, ODOM)):
         record.fail(f"found {shown(kind)}, a CARMEN line cut short")
     elif kind == b"PARAM" and len(fields) > 2 and fields[1] in _PARAMS:
         content.params[fields[1]] = float(record.numbers(fields[2:3])[0])
@@ -320,11 +377,22 @@ def _poses(record: Record, first: int, past: int, units: Units) -> Array:
 
 
 def _robotlaser(record: Record, units: Units) -> _Line:
-    """A ROBOTLASER1 line, with its remissions or, as CARMEN's own description of the format has it, without."""
+    return _poses(record, -14, -8, units), *_stated_scan(record, units, _ROBOTLASER_TAIL)
+
+
+def _rawlaser(record: Record, units: Units) -> _Line:
+    return np.zeros((2, 3)), *_stated_scan(record, units, _RAWLASER_TAIL)
+
+
+def _stated_scan(record: Record, units: Units, tail: int) -> tuple[_Geometry, NDArray[np.float32]]:
+    """A scan that states its beams, with its remissions or, as CARMEN's own description of the format has it, without.
+
+    `tail` is the number of fields behind these.
+    """
     count = _count(record, _ROBOTLASER_HEAD - 1)
-    if len(record.fields) != _ROBOTLASER_HEAD + count + _ROBOTLASER_TAIL:
+    if len(record.fields) != _ROBOTLASER_HEAD + count + tail:
         remissions = _count(record, _ROBOTLASER_HEAD + count, "remissions")
-        expected = _ROBOTLASER_HEAD + count + 1 + remissions + _ROBOTLASER_TAIL
+        expected = _ROBOTLASER_HEAD + count + 1 + remissions + tail
         _expect(record, expected, f" with {count} ranges and {remissions} remissions")
     start, fov, resolution, max_range = record.numbers(record.fields[2:6])
     start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
@@ -336,7 +404,7 @@ def _robotlaser(record: Record, units: Units) -> _Line:
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
         record.fail(f"found start angle {start:g} and field of view {fov:g}, allowed: radians of up to a full circle")
     geometry = _Geometry(count, start, fov, resolution, max_range if max_range > 0.0 else math.inf)
-    return _poses(record, -14, -8, units), geometry, _ranges(record, _ROBOTLASER_HEAD, count, units)
+    return geometry, _ranges(record, _ROBOTLASER_HEAD, count, units)
 
 
 def _count(record: Record, place: int, what: str = "ranges") -> int:

@@ -29,6 +29,10 @@ _STEP_S, _FINE_S, _NEAR_S = 0.1, 0.01, 1.0  # of the search, and of that around 
 _EXPLAINED, _CLEARLY = 0.7, 0.3  # share of the squared turns that an offset explains, and more than any other one
 _LIKELIER = 20.0  # log likelihood ratio of an offset against none
 
+MIRRORED = (
+    "scans turn the other way round from odometry: are the ranges from right to left, or is the laser upside down? "
+    "Then set `laser.mirrored`"
+)
 
 Ranges = NDArray[np.float32]
 
@@ -113,16 +117,16 @@ def scan_turns(scans: Sequence[tuple[int, Scan]]) -> Turns:
     firsts = firsts[(apart > 0.0) & (apart < _LONGEST_S)]
     firsts = firsts[np.unique(np.linspace(0, len(firsts) - 1, min(_PAIRS, len(firsts))).astype(int))]
     seconds = seconds[firsts]
-    views = {k: _view(scans[k][1]) for k in np.unique([firsts, seconds]).tolist()}
+    views = {k: view(scans[k][1]) for k in np.unique([firsts, seconds]).tolist()}
     shape = (-1, _BINS)
     before = np.array([views[k] for k in firsts.tolist()], dtype=np.float32).reshape(shape)
     after = np.array([views[k] for k in seconds.tolist()], dtype=np.float32).reshape(shape)
-    turns, is_seen = _shifts(before, after)
+    turns, is_seen = shifts(before, after)
     stamps = np.stack([middles_s[firsts], middles_s[seconds]], axis=1)
     return Turns(stamps[is_seen], turns[is_seen])
 
 
-def _view(scan: Scan) -> Ranges:
+def view(scan: Scan) -> Ranges:
     """(_BINS,) range by bearing around the robot's axis, m; NaN where nothing is seen nearby."""
     out = np.full(_BINS, np.nan, dtype=np.float32)
     seen = (scan.ranges > 0.0) & (scan.ranges < min(_FAR_M, scan.max_range))
@@ -131,7 +135,7 @@ def _view(scan: Scan) -> Ranges:
     return out
 
 
-def _shifts(before: Ranges, after: Ranges) -> tuple[Array, NDArray[np.bool_]]:
+def shifts(before: Ranges, after: Ranges) -> tuple[Array, NDArray[np.bool_]]:
     """(P,) turns, rad, that lay the views (P, _BINS) before on those after best, and whether they are seen."""
     shifts = np.arange(-_SHIFTS, _SHIFTS + 1)
     errors = np.full((len(shifts), len(before)), np.inf, dtype=np.float32)

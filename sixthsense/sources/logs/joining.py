@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.clocks import are_mirrored, clock_offset_s, least_s
+from sixthsense.sources.logs.clocks import MIRRORED, are_mirrored, clock_offset_s, least_s
 from sixthsense.sources.logs.log import longest_s, pose_between
 from sixthsense.sources.logs.stamps import passed_s, shown_span
 
@@ -54,10 +54,7 @@ def one_clock(
     offset_s = clock_offset_s(seen, stamps, headings)
     if not offset_s:
         if offset_s is None and are_mirrored(seen, stamps, headings):
-            remarks.append(
-                "scans turn the other way round from odometry: are the ranges from right to left, or is the laser "
-                "upside down?"
-            )
+            remarks.append(MIRRORED)
         if scans[0].own_ns > stamps[-1] or scans[-1].own_ns < stamps[0]:
             spans = shown_span([each.own_ns for each in scans]), shown_span(stamps)
             raise ValueError(f"found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")

@@ -39,13 +39,14 @@ class Beams(NamedTuple):
     """between two beams, rad"""
 
 
-def beams_by_count(count: int) -> Beams:
-    """The beams of a FLASER line, which states only their number: a scanner of 180 degrees from -90 degrees on.
+def beams_by_count(count: int, fov: float = math.pi) -> Beams:
+    """The beams of a FLASER line, which states only their number: a scanner of 180 degrees, or of `fov` rad, centred.
 
     An odd number includes both ends (181: one degree apart), an even one leaves out the last (180: one degree, 360:
-    half a degree). CARMEN itself reads its logs so.
+    half a degree). CARMEN itself reads its logs so. No beam of a full circle repeats the first.
     """
-    return Beams(-math.pi / 2.0, math.pi / (count - count % 2))
+    is_full = fov > 2.0 * math.pi - 1e-6
+    return Beams(-fov / 2.0, fov / (count if is_full else count - count % 2))
 
 
 def beams_over(fov: float, count: int) -> Beams:

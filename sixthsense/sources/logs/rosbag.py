@@ -335,7 +335,7 @@ def _mount(
         there = ", ".join(map(shown_name, tree.frames()[:12])) or "none"
         remarks.append(
             f"assumed: the laser at the robot's centre, since no constant transforms lead from {frames} "
-            f"(frames: {there}; otherwise set laser.mount)"
+            f"(frames: {there}; otherwise set `laser.mount`)"
         )
     return place, upside_down
 

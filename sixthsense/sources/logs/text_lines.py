@@ -22,6 +22,7 @@ LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration all
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 _LARGEST_STAMP = 1e9 * LAST_STAMP_S  # of any unit
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
 _LARGEST_WHOLE = (1 << 31) - 1
 _TRIANGLES = {6: 3, 21: 6}
 """numbers of the upper triangle of a covariance, and its size"""
@@ -199,6 +200,7 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
                 stream = bz2.BZ2File(raw)
             while line := stream.readline(LONGEST_LINE):
                 number += 1
+                line = line.removeprefix(_BYTE_ORDER_MARK) if number == 1 else line
                 if len(line) == LONGEST_LINE:
                     raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
                 yield number, line
