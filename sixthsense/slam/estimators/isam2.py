@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovations_of, seen_from_each
 from sixthsense.core.landmarks import Bend, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -280,15 +280,9 @@ class ISAM2:
         return self._solution.map_gain(guess, observations, self._pending) < least
 
     def _converge(self) -> None:
-        """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""
-        for _ in range(_MAX_ITERATIONS):
-            before = self._solution.poses()
-            self._solver.iterate()
-            self._solution.update(self._last_solved)
-            shift = self._solution.poses() - before
-            shift[:, 2] = wrap_angle(shift[:, 2])
-            if np.abs(shift).max() <= 0.1 * self._config.relinearize_threshold:
-                return
+        """Iterate until the newest pose stays: a loop that closes moves all of its poses, and weights of losses."""
+        self._solver.converge(self._last_solved, 0.1 * self._config.relinearize_threshold, _MAX_ITERATIONS)
+        self._solution.update(self._last_solved)
 
     def _remove(self, factors: list[int]) -> None:
         """Take factors of observations out of the graph and solve."""

@@ -156,6 +156,15 @@ class Solver:
         for _ in range(count):
             self.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
 
+    def converge(self, key: int, least: float, most: int) -> None:
+        """Iterate at most so many times, until the pose with this key moves by no more than `least`, m and rad."""
+        pose = self.isam.calculateEstimatePose2(key)
+        for _ in range(most):
+            self.iterate()
+            before, pose = pose, self.isam.calculateEstimatePose2(key)
+            if np.abs(before.localCoordinates(pose)).max() <= least:
+                return
+
     def relinearize(self, key: int, guess: Pose) -> None:
         """Iterate while the pose with this key, linearized at `guess`, is farther than the threshold from there."""
         linearized = to_pose2(guess)
