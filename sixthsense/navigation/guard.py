@@ -151,7 +151,7 @@ def checked(
     latest command that drives; `waits_for_moving` is the same of the one before.
     """
     v, w = command
-    if v == 0.0 or not limits.is_on:
+    if not limits.is_on:
         return v, w, False, waits_for_moving
     x, y, theta = since
     speed = abs(v)
@@ -218,6 +218,9 @@ class Guard:
         ahead, so that the robot can stop before it, however it turns meanwhile. This law leaves at least creep speed,
         or the robot could not pass a narrow door.
         """
+        if command.speed == 0.0:
+            self._stopped = False
+            return command
         since, before = self._since, self._stopped
         speed, turn_rate, self._stopped, self.waits_for_moving = checked(
             (float(command.speed), float(command.turn_rate)),

@@ -36,7 +36,7 @@ _AROUND = 8  # keyframes before the newest whose old partners are followed, and 
 REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
 M_PER_RAD = 0.5  # what a turn counts as a distance
 AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
-_PERIOD = 10  # keyframes between two times that all poses are read: each costs a solution; those since then always are
+_PERIOD = 10  # keyframes between two times that all poses are read, and that leave at a time: each costs a solution
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
 LOSS = 4.0  # scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)
@@ -156,8 +156,8 @@ class ScanGraph:
             )
         ]
         ids = self._add(links, [loss_scale if old else LOSS for old in is_old])
-        # The newest poses have moved, and those that links lead to; all of them are read from time to time.
-        keys = sorted({*range(max(0, self.count - _PERIOD), self.count), *found.targets[is_old].tolist()})
+        # The newest poses have moved, and those that links lead to, which are read now; all are from time to time.
+        keys = sorted({*range(max(0, self.count - LINKS - 1), self.count), *found.targets[is_old].tolist()})
         self.poses[keys] = compose(self.estimator.poses_at(keys), self._mount)
         if self.count - self._refreshed >= _PERIOD:
             self.refresh()
