@@ -124,9 +124,14 @@ def frontier_clusters(edge: Cells, tile: int) -> list[Cells]:
     return [cells[a:b] for a, b in zip([0, *starts], [*starts, len(cells)], strict=True)]
 
 
-@numba.njit(cache=True, error_model="numpy")
 def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
     """(M, 2) the cells of `mask` that share an edge with one of (N, 2) `cells`, each once."""
+    return np.stack(np.divmod(np.unique(_adjacent(mask, cells)), max(mask.shape[1], 1)), axis=1)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _adjacent(mask: Bools, cells: Cells) -> Nodes:
+    """(M,) the flat cells of `mask` that share an edge with one of (N, 2) `cells`; some of them several times."""
     height, width = mask.shape
     found = np.empty(4 * len(cells), dtype=np.int64)
     count = 0
@@ -136,11 +141,7 @@ def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
             if 0 <= r < height and 0 <= c < width and mask[r, c]:
                 found[count] = r * width + c
                 count += 1
-    once = np.unique(found[:count])
-    out = np.empty((len(once), 2), dtype=np.int64)
-    for i in range(len(once)):
-        out[i, 0], out[i, 1] = once[i] // width, once[i] % width
-    return out
+    return found[:count]
 
 
 def centre_cell(cells: Cells) -> tuple[int, int]:

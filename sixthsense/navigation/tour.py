@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.ordering import ascending
 from sixthsense.navigation.gridsearch.cost_tree import MOVES
 from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT, pop, push
 from sixthsense.navigation.gridsearch.reached import TILE
@@ -200,8 +201,12 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
 def _stop_order(lengths: Array) -> Cells:
     tour = short_tour(lengths)
     best, least = tour[1:-1].copy(), np.inf
-    nearest = np.argsort(lengths[0, 1:-1])[:_OPTIONS] + 1
-    for stop in np.unique(np.append(nearest, tour[1])):
+    is_option = np.zeros(len(lengths), np.bool_)
+    is_option[tour[1]] = True
+    is_option[ascending(lengths[0, 1:-1])[:_OPTIONS] + 1] = True
+    for stop in range(len(lengths)):
+        if not is_option[stop]:
+            continue
         rest = np.append(stop, tour[1:][tour[1:] != stop])
         shorten(lengths, rest)
         cost = (1.0 + _LEG) * lengths[0, stop] + tour_length(lengths, rest)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.ordering import ascending
 from sixthsense.navigation.gridsearch.prices import Sizes, Stacks, appended, push
 from sixthsense.slam.mapping.freespace import TOUCH, Bools
 
@@ -162,7 +163,7 @@ def _sorted_seeds(cost: Array, steps: Steps, stride: int, waiting: Nodes, target
             seeds[count] = node
             f_seeds[count] = cost[node] + _octile(node // stride - target // stride, node % stride - target % stride)
             count += 1
-    order = np.argsort(f_seeds[:count])
+    order = ascending(f_seeds[:count])
     return seeds[order], f_seeds[order]
 
 

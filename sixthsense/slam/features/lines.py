@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.ordering import ascending
 from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, straight_pieces
 from sixthsense.slam.features.partition import Indices
 
@@ -152,7 +153,7 @@ def fit_lines(
                         lines[found, i] = fit[i]
                     where[found, 0], where[found, 1], where[found, 2] = k, own[0], own[-1]
                     found += 1
-    order = np.argsort(where[:found, 1])
+    order = ascending(where[:found, 1].copy())
     rank = np.empty(found + 1, np.int64)
     for i in range(found):
         rank[order[i]] = i
