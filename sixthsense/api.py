@@ -105,7 +105,7 @@ def replay(
     Parameters
     ----------
     log
-        A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or
+        A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain or compressed; a ROS 1 or
         ROS 2 bag; the folder of a run; an MRCLAM folder; or a log opened by `ss.open_log`.
     config
         The complete configuration. By default it is that of the run folder, or the preset of the log's format ("log",

@@ -108,10 +108,10 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
         return poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses)
-    from sixthsense.sources.logs.text_lines import read_tum
+    from sixthsense.sources.logs.trajectories import read_trajectory
 
     notes: list[str] = []
-    stamps, values = read_tum(_file(path), notes)
+    stamps, values = read_trajectory(_file(path), notes)
     return replace(poses_from(str(path), stamps, values), notes=tuple(notes))
 
 
@@ -130,10 +130,10 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
             "a file with a stamp and 6 or 21 numbers of the upper triangle in each line",
         )
     from sixthsense.sources.logs.stamps import matched
-    from sixthsense.sources.logs.text_lines import read_covariances, read_tum
+    from sixthsense.sources.logs.trajectories import read_covariances, read_trajectory
 
     notes: list[str] = []
-    stamps, values = read_tum(path, notes)
+    stamps, values = read_trajectory(path, notes)
     cov_stamps, covs = read_covariances(covariance, notes)
     rows = matched(1e-9 * cov_stamps, 1e-9 * stamps)
     has = rows >= 0
@@ -152,6 +152,8 @@ def _file(path: Path) -> Path:
     if path.is_dir():
         kinds = "a ROS bag (.bag, .mcap, .db3, or a folder with metadata.yaml), a TUM file, the folder of a run"
         raise InputError(path, "found a folder", kinds)
+    if kind_of(path) == "graph":
+        raise InputError(path, "found a graph of poses, which has no stamps", "a trajectory with stamps, as a TUM file")
     return path
 
 

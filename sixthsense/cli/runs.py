@@ -59,8 +59,8 @@ class Run(WithPriorMap, OfScene):
 class Replay(WithPriorMap):
     """Process a recorded log.
 
-    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or ROS 2 bag;
-    the folder of a run; an MRCLAM folder.
+    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro), plain or .gz, .bz2, .xz, .zip; a ROS 1 or ROS 2
+    bag; the folder of a run; an MRCLAM folder.
     """
 
     base: ClassVar[str] = "log"

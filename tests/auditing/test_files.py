@@ -8,10 +8,11 @@ import pytest
 from bags import Bag
 
 import sixthsense as ss
+from sixthsense.auditing.poses import poses_from
 from sixthsense.cli import main
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.metrics import nees_world
-from sixthsense.sources.logs.text_lines import read_tum
+from sixthsense.sources.logs.trajectories import read_trajectory
 
 N = 400
 STAMPS_NS = 1_700_000_000_000_000_000 + 100_000_000 * np.arange(N)
@@ -120,11 +121,56 @@ def test_the_command_prints_writes_and_draws_and_may_require_consistency(tmp_pat
         ss.audit(*words[::2]).save(tmp_path / "no" / "audit.json")
 
 
+def in_columns(file, head, sep, order):
+    """The true poses in columns of x y z qx qy qz qw, -1 and theta, in this order, behind a stamp in nanoseconds."""
+    half = 0.5 * TRUTH[:, 2]
+    parts = np.column_stack([TRUTH[:, :2], np.zeros((N, 3)), np.sin(half), np.cos(half), -np.ones(N), TRUTH[:, 2]])
+    rows = zip(STAMPS_NS.tolist(), parts[:, order].tolist(), strict=True)
+    file.write_text("\n".join([*head, *(sep.join(map(repr, (stamp, *row))) for stamp, row in rows)]) + "\n")
+    return file
+
+
+EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+
+
+@pytest.mark.parametrize(("head", "sep", "order"), [
+    ([EUROC], ",", [0, 1, 2, 6, 3, 4, 5]),
+    ([EUROC + ", v_RS_R_x [m s^-1], b_w_RS_S_x [rad s^-1]"], ",", [0, 1, 2, 6, 3, 4, 5, 7, 7]),
+    (["time;yaw;x;y"], "; ", [8, 0, 1]),
+    ([], " ", [0, 1, 8]),
+    (["# stamp x y z qx qy qz qw", "timestamp,x,y,z,qx,qy,qz,qw"], ", ", [0, 1, 2, 3, 4, 5, 6]),
+])  # fmt: skip
+def test_a_trajectory_with_a_header_or_in_the_plane_has_the_same_poses(head, sep, order, tmp_path):
+    notes = []
+    file = in_columns(tmp_path / "t.csv", head, sep, order)
+    with file.open("a") as lines:
+        lines.write(f"{STAMPS_NS[-1] + 1}{sep}nan\n")
+    stamps, poses = read_trajectory(file, notes)
+    found, true = poses_from("found", stamps, poses).in_plane(), poses_from("true", STAMPS_NS, TRUTH)
+    assert np.array_equal(stamps, STAMPS_NS)
+    assert np.allclose(found.positions, true.positions) and np.allclose(found.orientations, true.orientations)
+    assert any(f"1 of {N + 1} lines left out: line {N + 1 + len(head)}" in note for note in notes)
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("1 0 0 1 0 1 0 0 2 0 0 1\n", "line 1: found 12 fields, as those of KITTI, which have no stamps, allowed: 8"),
+    ("# x y\n1 2 3\n", "line 2: found 3 fields, allowed: 8 (stamp x y z qx qy qz qw), 4 (stamp x y theta)"),
+    ("VERTEX_SE2 0 1 2 3\n", "found a graph of poses, which has no stamps, allowed: a trajectory with stamps"),
+    ("\ufeff1 2 3 4".encode("utf-16-le").decode("latin1"), "found text of 16 bits a letter (UTF-16), allowed: UTF-8"),
+    ("1 2 3 4 0 0 0 0\n", "line 1: found a quaternion that is zero, allowed: a rotation"),
+])  # fmt: skip
+def test_what_is_no_trajectory_is_named_in_one_line(text, said, tmp_path, complaint):
+    file, truth = tmp_path / "a.txt", tum(tmp_path / "truth.tum")
+    file.write_bytes(text.encode("latin1"))
+    spread = covariances(tmp_path / "c.txt")
+    assert said in complaint("audit", truth, "--covariance", spread, "--truth", file)
+
+
 def test_a_trajectory_in_nanoseconds_is_read_as_that_with_a_note(tmp_path):
     rows = [line.split() for line in tum(tmp_path / "s.tum").read_text().splitlines() if line[:1] not in ("", "#")]
     lines = [" ".join([str(ns), *row[1:]]) for ns, row in zip(STAMPS_NS.tolist(), rows, strict=True)]
     (tmp_path / "ns.tum").write_text("\n".join(lines) + "\n")
     notes: list[str] = []
-    stamps, poses = read_tum(tmp_path / "ns.tum", notes)
-    assert np.array_equal(stamps, STAMPS_NS) and np.array_equal(poses, read_tum(tmp_path / "s.tum")[1])
+    stamps, poses = read_trajectory(tmp_path / "ns.tum", notes)
+    assert np.array_equal(stamps, STAMPS_NS) and np.array_equal(poses, read_trajectory(tmp_path / "s.tum", [])[1])
     assert len(notes) == 1 and "are taken as nanoseconds" in notes[0]

@@ -2,8 +2,11 @@
 
 import bz2
 import gzip
+import io
 import itertools
+import lzma
 import math
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -126,10 +129,19 @@ def test_a_pose_that_was_repeated_through_a_gap_is_no_jump(tmp_path: Path) -> No
     assert log.ticks[3].odometry.array() == pytest.approx(far.array(), abs=1e-5)
 
 
-@pytest.mark.parametrize("name", ["a.log", "a.log.gz", "a.clf.bz2"])
+def zipped(content: bytes) -> bytes:
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as out:
+        out.writestr("data/a.log", content)
+        out.writestr("__MACOSX/._a.log", b"x")
+    return archive.getvalue()
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.log.gz", "a.clf.bz2", "a.zip", "a.txt", "a.dat.xz", "a"])
 def test_plain_and_compressed_logs_give_the_same_result_under_any_name(tmp_path: Path, name: str) -> None:
     text = (HEADER + odom() + flaser(2)).encode()
-    for content in (text, gzip.compress(text), bz2.compress(text)):
+    mark, short = b"\xef\xbb\xbf", text[len(HEADER) :]
+    for content in (text, gzip.compress(text), bz2.compress(text), lzma.compress(text), zipped(text), mark + short):
         log = open_log(written(tmp_path, content, name), LASER)
         assert [tick.stamp_ns for tick in log.ticks] == [10**9, 2 * 10**9]
 
@@ -143,7 +155,7 @@ def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: s
         assert "\n" not in log.remarks()[0]
 
 
-@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, lzma.compress])
 def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None:
     ranges = np.random.default_rng(0).uniform(0, 9, (40, 4))
     content = compress("".join(flaser(i, row) for i, row in enumerate(ranges)).encode())

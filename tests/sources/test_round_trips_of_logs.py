@@ -24,7 +24,7 @@ from sixthsense.sources.logs.bag_file import read_poses, read_transforms
 from sixthsense.sources.logs.log import read_relations
 from sixthsense.sources.logs.mrclam import true_landmarks
 from sixthsense.sources.logs.ros_messages import read_increment_covariance, spatial_covariance
-from sixthsense.sources.logs.text_lines import read_covariances, read_tum
+from sixthsense.sources.logs.trajectories import read_covariances, read_trajectory
 from sixthsense.sources.scene import load_scene
 
 S = 1_000_000_000
@@ -186,11 +186,11 @@ def test_tables_of_poses_covariances_and_relations_keep_nanoseconds_order_and_ya
         covs += line(seconds(ns), *cov[np.triu_indices(3)])
         yaw = pose.theta + 2.0 * math.pi
         relations += line(seconds(ns), seconds(ns + S), pose.x, pose.y, 0.7, roll, pitch, yaw)
-    stamps, found = read_tum(written("a.tum", text))
+    stamps, found = read_trajectory(written("a.tum", text), [])
     assert stamps.tolist() == [ns for *_, ns in rows]
     expected = [[p.x, p.y, 0.7, *turned(p.theta, tilted)] for p, tilted, _ in rows]
     assert found.tolist() == expected
-    stamps, found = read_covariances(written("a.cov", covs))
+    stamps, found = read_covariances(written("a.cov", covs), [])
     assert stamps.tolist() == [ns for *_, ns in rows] and np.array_equal(found, [cov] * len(rows))
     found = read_relations(written("a.relations", relations))
     assert found.stamps.tolist() == [[float(seconds(ns)), float(seconds(ns + S))] for *_, ns in rows]

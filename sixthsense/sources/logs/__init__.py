@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log
 
 _CARMEN = (".log", ".clf", ".carmen")
-_COMPRESSED = (".gz", ".bz2")
+_COMPRESSED = (".gz", ".bz2", ".xz", ".zip")
 _BAGS = (".bag", ".mcap", ".db3")
 _GRAPHS = (".graph", ".g2o", ".toro")
 _MRCLAM = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
@@ -29,7 +29,7 @@ def open_log(
     odometry: bool = True,
     units: Sequence[str] = (),
 ) -> Log:
-    """Open a log, a file or a folder, with the reader of its kind, recognised by the name, of a bag by its first bytes.
+    """Open a log, a file or a folder, with the reader of its kind, recognised by its name, or else by how it begins.
 
     The log says what its laser is. Fields of `laser` that were stated take precedence, such as that of
     `ss.LaserConfig(max_range=8.0)`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames`
@@ -71,7 +71,7 @@ def open_log(
         return read_mrclam(path, assumed or preset("mrclam").assumed, robot)
     compressed = f"also with {' or '.join(_COMPRESSED)}"
     kinds = (
-        f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}, or .txt), "
+        f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}), "
         f"ROS bag ({', '.join(_BAGS)}, or a folder of them), folder of a run, folder of MRCLAM"
     )
     raise InputError(path, "found no known kind of log", kinds)
@@ -94,18 +94,24 @@ def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""
             return "bag"
         if _suffix(path) in _CARMEN:
             return "carmen"
-        if _suffix(path) == ".txt":
-            from sixthsense.sources.logs.graph import begins_as_graph
-
-            return "graph" if begins_as_graph(path) else ""
         if _suffix(path) in _GRAPHS:
             return "graph"
-        return "bag" if path.suffix.lower() in _BAGS else ""
+        return "bag" if path.suffix.lower() in _BAGS else _kind_of_text(path)
     if is_run_folder(path):
         return "run"
     if (path / "metadata.yaml").is_file() or bag_files(path):
         return "bag"
     return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
+
+
+def _kind_of_text(path: Path) -> Literal["carmen", "graph", ""]:
+    """The kind of a text of another name, by its first word."""
+    from sixthsense.sources.logs.carmen import MESSAGES
+    from sixthsense.sources.logs.graph import TAGS
+    from sixthsense.sources.logs.text_lines import first_word
+
+    word = first_word(path)
+    return "graph" if word in TAGS else "carmen" if word in MESSAGES else ""
 
 
 def is_run_folder(path: Path) -> bool:

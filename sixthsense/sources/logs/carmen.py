@@ -40,6 +40,8 @@ from sixthsense.sources.logs.units import SI, Units, check_bearings, check_odome
 
 FLASER, ROBOTLASER, RAWLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"RAWLASER1", b"ODOM"
 _SCANS = (ROBOTLASER, FLASER, RAWLASER)
+MESSAGES = (*_SCANS, ODOM, b"PARAM", b"SYNC", b"RLASER", b"ROBOTLASER2", b"RAWLASER2", b"TRUEPOS", b"MARKER")
+"""with which a log may begin"""
 _ODOM_FIELDS = 10
 """ODOM x y theta tv rv accel ipc_time host logger_time"""
 _FLASER_FIELDS = 11
@@ -100,7 +102,7 @@ class _Lines:
 
 
 def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units = SI) -> Log:
-    """Read a CARMEN log: plain, gzip or bzip2, recognised by the first bytes.
+    """Read a CARMEN log: plain or compressed, recognised by the first bytes.
 
     The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more, ROBOTLASER1 if they are as many;
     without either, those of the RAWLASER1 lines, with odometry interpolated at their stamps. Other messages, as those

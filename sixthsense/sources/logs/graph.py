@@ -42,15 +42,7 @@ class _Form:
 _MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE2": _Form(_TORO, True), b"EDGE_SE2": _Form(_BY_ROWS, True)}
 _POINTS = {b"LANDMARK": _Form(_PLANE, False), b"EDGE_SE2_XY": _Form(_PLANE, True)}
 _POSES = (b"VERTEX2", b"VERTEX_SE2")
-_TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
-
-
-def begins_as_graph(file: Path) -> bool:
-    """Whether the first line that is not blank or a comment begins with a tag of a graph."""
-    try:
-        return next((record.fields[0] in _TAGS for record in records(file)), False)
-    except InputError:
-        return False
+TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
 
 
 def read_graph(file: str | Path) -> Log:
@@ -86,8 +78,8 @@ def read_graph(file: str | Path) -> Log:
     graph = _Graph()
     for record in records(path):
         tag = record.fields[0]
-        if tag not in _TAGS:
-            record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in _TAGS)}")
+        if tag not in TAGS:
+            record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in TAGS)}")
         _READERS[tag](graph, record)
     if len(graph.ticks) < 2:
         raise InputError(path, "found no edge between poses", f"a graph with {b', '.join(_MOTIONS).decode()}")

@@ -1,13 +1,16 @@
-"""Text logs: records, tables and trajectories of a plain or compressed file; errors of a log name file and line."""
+"""Text logs: records and tables of a plain or compressed file; errors of a log name file and line."""
 
 from __future__ import annotations
 
 import bz2
 import gzip
+import lzma
+import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, NamedTuple, NoReturn, cast
 
@@ -21,11 +24,9 @@ from sixthsense.sources.logs.stamps import unit_of
 LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
-_LARGEST_STAMP = 1e9 * LAST_STAMP_S  # of any unit
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # which its shell writes
 _LARGEST_WHOLE = (1 << 31) - 1
-_TRIANGLES = {6: 3, 21: 6}
-"""numbers of the upper triangle of a covariance, and its size"""
 
 
 def check_regular(path: Path) -> None:
@@ -122,7 +123,7 @@ class Table(NamedTuple):
 
 
 def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to: float = LARGEST) -> Table:
-    """A line of numbers, separated by spaces or commas, for each record; at least one.
+    """A line of numbers, separated by spaces, commas or semicolons, for each record; at least one.
 
     All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises InputError,
     naming the line, for any other line, and for numbers that are not finite or beyond `LARGEST`, `first_up_to` in the
@@ -130,7 +131,7 @@ def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to
     """
     widths = widths or (len(columns.split()),)
     found: list[Record] = []
-    for record in records(path, b","):
+    for record in records(path, b",;"):
         count = len(record.fields)
         if count not in widths or (found and count != len(found[0].fields)):
             record.fail(f"found {count} fields, allowed: {' or '.join(map(str, widths))} in every line ({columns})")
@@ -149,58 +150,40 @@ def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to
     return Table(found, numbers)
 
 
-def read_tum(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int64], Array]:
-    """Stamps (N,), ns, and poses (N, 7), x y z qx qy qz qw, of a TUM trajectory; plain, gzip or bzip2.
-
-    Lines that are empty or begin with # are skipped. Stamps are seconds, or as large as those in a part of a second
-    since 1970, which is said in `notes`. Raises InputError, naming the line, for any other line than one of eight
-    finite numbers, for a quaternion that is zero, and for a file without a pose.
-    """
-    table = read_table(file, "stamp x y z qx qy qz qw", first_up_to=_LARGEST_STAMP)
-    zero = np.flatnonzero(~np.any(table.numbers[:, 4:], axis=1))
-    if len(zero):
-        table.records[zero[0]].fail("found a quaternion that is zero, allowed: a rotation")
-    return table.stamps_ns(notes), table.numbers[:, 1:]
+def first_word(file: Path) -> bytes:
+    """The first word of a text that is no comment; empty where there is none, and for a file that cannot be read."""
+    try:
+        return next((record.fields[0] for record in records(file)), b"")
+    except InputError:
+        return b""
 
 
-def read_covariances(file: Path, notes: list[str] | None = None) -> tuple[NDArray[np.int64], Array]:
-    """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): a stamp and the upper triangle, row by row, in a line.
-
-    6 numbers are of SE(2), 21 of SE(3). Stamps are as of `read_tum`. Raises InputError, naming the line, for any other.
-    """
-    lengths = [1 + count for count in _TRIANGLES]
-    table = read_table(file, "a stamp and the upper triangle", lengths, _LARGEST_STAMP)
-    values = table.numbers[:, 1:]
-    size = _TRIANGLES[values.shape[1]]
-    rows, columns = np.triu_indices(size)
-    covs = np.zeros((len(values), size, size))
-    covs[:, rows, columns] = covs[:, columns, rows] = values
-    return table.stamps_ns(notes), covs
-
-
-def records(path: Path, separator: bytes = b" ") -> Iterator[Record]:
-    """The lines of a file as words between spaces, or `separator`; those that are blank or begin with # are skipped."""
-    for number, line in _lines(path):
-        fields = line.replace(separator, b" ").split()
+def records(path: Path, separators: bytes = b"") -> Iterator[Record]:
+    """The lines of a file as words between spaces or separators; those that are blank or begin with # are skipped."""
+    for number, line in lines(path):
+        fields = words(line, separators)
         if fields and not fields[0].startswith(b"#"):
             yield Record(path, number, fields)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Number (from 1) and bytes of each line of a plain, gzip or bzip2 file, by its first bytes."""
+def words(line: bytes, separators: bytes) -> list[bytes]:
+    """What stands between spaces, or any of these separators."""
+    return line.translate(bytes.maketrans(separators, b" " * len(separators))).split()
+
+
+def lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Number (from 1) and bytes of each line of a file; one that is compressed is known by its first bytes."""
     number = 0
     try:
         check_regular(path)
         with path.open("rb") as raw:
-            magic = raw.peek(3)[:3]
-            stream: IO[bytes] = raw
-            if magic[:2] == b"\x1f\x8b":
-                stream = cast(IO[bytes], gzip.GzipFile(fileobj=raw))
-            elif magic == b"BZh":
-                stream = bz2.BZ2File(raw)
+            stream = _decompressed(path, raw)
             while line := stream.readline(LONGEST_LINE):
                 number += 1
-                line = line.removeprefix(_BYTE_ORDER_MARK) if number == 1 else line
+                if number == 1:
+                    line = line.removeprefix(_BYTE_ORDER_MARK)
+                    if line.startswith(_UTF_16):
+                        raise InputError(path, "found text of 16 bits a letter (UTF-16)", "UTF-8 or ASCII")
                 if len(line) == LONGEST_LINE:
                     raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
                 yield number, line
@@ -208,6 +191,24 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise InputError(path, "no such file") from None
     except EOFError:
         raise InputError(path, f"is cut short, its compressed data ends after line {number}") from None
-    except (OSError, zlib.error) as error:
+    except (OSError, zlib.error, lzma.LZMAError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or f"damaged after line {number}: {error}"
         raise InputError(path, f"cannot be read ({reason})") from None
+
+
+def _decompressed(path: Path, raw: BufferedReader) -> IO[bytes]:
+    """The content of a file, by its first bytes: gzip, bzip2, xz, an archive of one file, or as it is."""
+    magic = raw.peek(6)[:6]
+    if magic.startswith(b"\x1f\x8b"):
+        return cast(IO[bytes], gzip.GzipFile(fileobj=raw))
+    if magic.startswith(b"BZh"):
+        return bz2.BZ2File(raw)
+    if magic.startswith(b"\xfd7zXZ"):
+        return lzma.LZMAFile(raw)
+    if magic.startswith(b"PK\x03\x04"):
+        archive = zipfile.ZipFile(raw)
+        files = [one for one in archive.infolist() if not (one.is_dir() or one.filename.startswith("__MACOSX/"))]
+        if len(files) != 1:
+            raise InputError(path, f"found {len(files)} files in the archive", "one")
+        return archive.open(files[0])
+    return raw
