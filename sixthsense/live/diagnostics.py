@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 from sixthsense.core.source import Tick
 from sixthsense.live.topics import RELIABLE, Topic
+from sixthsense.loop.run import OnTick
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import DIAGNOSTICS, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.verdict.judge import judge
-from sixthsense.verdict.verdict import Level, Verdict
+from sixthsense.verdict.verdict import Level
 
 TOPIC = Topic("/diagnostics", DIAGNOSTICS, RELIABLE)
 NAME, HARDWARE = "sixthsense: map", "sixthsense"
@@ -24,32 +25,25 @@ KEYFRAMES = 200
 _PERIOD_NS = 1_000_000_000
 
 
-class Diagnostics:
-    """A hook of the loop: judges the map so far once a second, says so, and slows the pilot down."""
+def diagnostics(send: Callable[[bytes], object], stamp: Callable[[int], int], pilot: Pilot) -> OnTick:
+    """A hook that judges the map so far once a second, says so, and slows the pilot down.
 
-    def __init__(self, send: Callable[[bytes], object], stamp: Callable[[int], int], pilot: Pilot) -> None:
-        """`send` takes serialized messages, and `stamp` makes the robot's stamp of a tick's."""
-        self._send, self._stamp, self._pilot = send, stamp, pilot
-        self._messages = Messages()
-        self._next_ns: int | None = None
-        self._judged = 0
-        """keyframes of the newest verdict"""
-        self._verdict: Verdict | None = None
+    `send` takes serialized messages, and `stamp` makes the robot's stamp of a tick's.
+    """
+    messages, next_ns, judged = Messages(), -1, 0  # keyframes of the newest verdict
 
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Judge and send, if a second has passed."""
-        if trace.live is None or (self._next_ns is not None and tick.stamp_ns < self._next_ns):
+    def hook(tick: Tick, trace: Trace) -> None:
+        nonlocal next_ns, judged
+        if trace.live is None or tick.stamp_ns < next_ns:
             return
-        self._next_ns = tick.stamp_ns + _PERIOD_NS
-        count = len(trace.key_stamps_ns)
-        if self._verdict is None or count != self._judged:
-            self._judged, self._verdict = count, judge(trace.witnesses(KEYFRAMES))
-        trace.live.verdict = self._verdict
-        self._pilot.pace = PACES[self._verdict.level]
-        self._send(self._serialized(self._stamp(tick.stamp_ns), self._verdict))
-
-    def _serialized(self, stamp_ns: int, verdict: Verdict) -> bytes:
+        next_ns, count = tick.stamp_ns + _PERIOD_NS, len(trace.key_stamps_ns)
+        if trace.live.verdict is None or count != judged:
+            judged, trace.live.verdict = count, judge(trace.witnesses(KEYFRAMES))
+        verdict = trace.live.verdict
+        pilot.pace = PACES[verdict.level]
         values = {"probability that the map is wrong": f"{verdict.probability:.3g}", "cause": verdict.cause}
         values |= {name: f"{value:.4g}" for name, value in verdict.evidence.items()}
-        status = self._messages.status(LEVELS[verdict.level], NAME, f"map {verdict}", HARDWARE, values)
-        return self._messages.serialized(self._messages.diagnostics(stamp_ns, [status]), DIAGNOSTICS)
+        status = messages.status(LEVELS[verdict.level], NAME, f"map {verdict}", HARDWARE, values)
+        send(messages.serialized(messages.diagnostics(stamp(tick.stamp_ns), [status]), DIAGNOSTICS))
+
+    return hook

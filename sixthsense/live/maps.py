@@ -52,24 +52,16 @@ class Part(NamedTuple):
     cell_m: float
 
 
-class Parts:
-    """Takes from a grid what has changed since the last time."""
-
-    def __init__(self) -> None:
-        self._revision: Revision | None = None
-
-    def take(self, stamp_ns: int, grid: Grid, cell_m: float) -> Part | None:
-        """What has changed; None if nothing has, and for a map that is too large for a message."""
-        changes = grid.changes
-        whole, changed = grid.box, changes.since(self._revision)
-        size = (whole.bottom - whole.top) * (whole.right - whole.left)
-        if size == 0 or size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES or changed == Box(0, 0, 0, 0):
-            return None
-        self._revision = changes.revision
-        changed = changed or whole
-        occupancy = grid.part("seen", changed).astype(np.int8) - np.int8(1)
-        occupancy[grid.part("obstacles", changed)] = 100
-        return Part(stamp_ns, whole, changed, occupancy, cell_m)
+def part_since(revision: Revision | None, stamp_ns: int, grid: Grid, cell_m: float) -> Part | None:
+    """What of a grid has changed since a state; None if nothing has, and for a map that is too large for a message."""
+    whole, changed = grid.box, grid.changes.since(revision)
+    size = (whole.bottom - whole.top) * (whole.right - whole.left)
+    if size == 0 or size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES or changed == Box(0, 0, 0, 0):
+        return None
+    changed = changed or whole
+    occupancy = grid.part("seen", changed).astype(np.int8) - np.int8(1)
+    occupancy[grid.part("obstacles", changed)] = 100
+    return Part(stamp_ns, whole, changed, occupancy, cell_m)
 
 
 class MapWriter:
@@ -204,23 +196,24 @@ class MapSender:
             self._queue.put(News(stamp_ns, beginning, additions))
 
 
-class MapDrawer:
-    """Draws a map of its keyframes, and gives what has changed to a writer."""
+def map_drawer(writer: MapWriter, beginning: Beginning) -> Callable[[News], Grid]:
+    """What draws a map of its keyframes, and gives what has changed to a writer; it returns the map."""
+    config, radius_m, earlier = beginning
+    mapper = Mapper(config, radius_m)
+    if earlier is not None:
+        mapper.start_from(earlier)
+    sent: Revision | None = None
 
-    def __init__(self, writer: MapWriter, beginning: Beginning) -> None:
-        config, radius_m, earlier = beginning
-        self._writer, self._parts, self._cell_m = writer, Parts(), config.cell_m
-        self._mapper = Mapper(config, radius_m)
-        if earlier is not None:
-            self._mapper.start_from(earlier)
-
-    def take(self, news: News) -> Grid:
-        """Draw and tell what is new; the map."""
-        self._mapper.take(news.additions)
-        grid = self._mapper.draw()
-        if (part := self._parts.take(news.stamp_ns, grid, self._cell_m)) is not None:
-            self._writer.take(part)
+    def draw(news: News) -> Grid:
+        nonlocal sent
+        mapper.take(news.additions)
+        grid = mapper.draw()
+        if (part := part_since(sent, news.stamp_ns, grid, config.cell_m)) is not None:
+            sent = grid.changes.revision
+            writer.take(part)
         return grid
+
+    return draw
 
 
 def _send_maps(network: Network, news: Queue[News | None], is_free: Any, seen_m2: Any) -> None:
@@ -230,7 +223,7 @@ def _send_maps(network: Network, news: Queue[News | None], is_free: Any, seen_m2
         os.nice(_NICE)
     with contextlib.suppress(InputError), Node(network) as node:
         writer = MapWriter(node)
-        drawer: MapDrawer | None = None
+        draw: Callable[[News], Grid] | None = None
         while parent is None or parent.is_alive():
             try:
                 some = news.get(timeout=_POLL_S)
@@ -240,9 +233,9 @@ def _send_maps(network: Network, news: Queue[News | None], is_free: Any, seen_m2
             if some is None:
                 return
             if some.beginning is not None:
-                drawer = MapDrawer(writer, some.beginning)
-            assert drawer is not None
-            seen_m2.value = drawer.take(some).seen_area_m2
+                draw = map_drawer(writer, some.beginning)
+            assert draw is not None
+            seen_m2.value = draw(some).seen_area_m2
             is_free.release()
 
 

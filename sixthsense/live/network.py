@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import ipaddress
 import os
 import re
@@ -137,21 +138,20 @@ class Node:
         for interface in network.interfaces * own:
             _check_interface(interface)
         before = _open_sockets()
-        self._entities: list[Any] = []
+        self._open = contextlib.ExitStack()
         try:
             if own:
-                self._entities.append(domain.Domain(network.domain, network.xml()))
-            self._participant = domain.DomainParticipant(network.domain)
+                self._keep(domain.Domain(network.domain, network.xml()))
+            self._participant = self._keep(domain.DomainParticipant(network.domain))
         except core.DDSException as error:
             where = f"interface {','.join(network.interfaces)}" if own else _OWN_CONFIGURATION
             allowed = "an interface that is up" if own else "a configuration of Cyclone DDS"
             where = f"{where}, domain {network.domain}"
             raise InputError(where, f"cannot be joined ({error.msg})", allowed) from None
-        self._entities.append(self._participant)
         if network.is_loopback:
             _confine_to_loopback(_open_sockets() - before)
         self._waitset = core.WaitSet(self._participant)
-        self._announced: dict[str, Any] = {}
+        self._published, self._subscribed = map(self._announced, ("Publication", "Subscription"))
 
     def __enter__(self) -> Self:
         return self
@@ -161,9 +161,8 @@ class Node:
 
     def close(self) -> None:
         """Leave the network, so that the others know it at once."""
-        for entity in [self._waitset, *reversed(self._entities)]:
-            entity.__del__()  # the only way that the binding offers; a second call does nothing
-        self._entities = []
+        self._waitset.__del__()
+        self._open.close()
 
     def reader(self, topic: Topic) -> Reader:
         """Subscribe."""
@@ -171,15 +170,14 @@ class Node:
         reader = dds("sub").DataReader(self._participant, self._topic(topic), qos(topic.quality))
         fresh = core.ReadCondition(reader, core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead)
         self._waitset.attach(fresh)
-        self._entities += [reader, fresh]
+        self._keep(reader)
+        self._keep(fresh)
         return Reader(reader, topic)
 
     def writer(self, topic: Topic) -> Writer:
         """Advertise."""
-        found = self._topic(topic)
-        writer = dds("pub").DataWriter(self._participant, found, qos(topic.quality))
-        self._entities.append(writer)
-        return Writer(writer, dds_type(topic.type))
+        writer = dds("pub").DataWriter(self._participant, self._topic(topic), qos(topic.quality))
+        return Writer(self._keep(writer), dds_type(topic.type))
 
     @property
     def participant(self) -> str:
@@ -188,33 +186,28 @@ class Node:
 
     def publishers(self, name: str) -> list[Endpoint]:
         """The publishers of the topic of this name, this program's included."""
-        return self._endpoints("BuiltinTopicDcpsPublication", name)
+        return _endpoints(self._published, name)
 
     def subscribers(self, name: str) -> list[Endpoint]:
         """The subscribers of the topic of this name, this program's included."""
-        return self._endpoints("BuiltinTopicDcpsSubscription", name)
+        return _endpoints(self._subscribed, name)
 
     def wait(self, timeout_s: float) -> None:
         """Wait until a reader has a message, at most for a time."""
         self._waitset.wait(round(1e9 * timeout_s))
 
-    def _endpoints(self, kind: str, name: str) -> list[Endpoint]:
-        """What the network announces of a topic now."""
-        builtin, alive = dds("builtin"), dds("core").InstanceState.Alive
-        if kind not in self._announced:
-            self._announced[kind] = builtin.BuiltinDataReader(self._participant, getattr(builtin, kind))
-            self._entities.append(self._announced[kind])
-        found = self._announced[kind].read(N=_MOST_ENDPOINTS)
-        return [
-            Endpoint(_ROS_TYPE.sub(r"\1/\2/\3", e.type_name), str(e.participant_key))
-            for e in found
-            if e.sample_info.valid_data and e.sample_info.instance_state == alive and e.topic_name == f"rt{name}"
-        ]
+    def _announced(self, kind: str) -> Any:
+        """The reader of what the network announces of publications or subscriptions."""
+        builtin = dds("builtin")
+        return self._keep(builtin.BuiltinDataReader(self._participant, getattr(builtin, f"BuiltinTopicDcps{kind}")))
 
     def _topic(self, topic: Topic) -> Any:
-        made = dds("topic").Topic(self._participant, f"rt{topic.name}", dds_type(topic.type))
-        self._entities.append(made)
-        return made
+        return self._keep(dds("topic").Topic(self._participant, f"rt{topic.name}", dds_type(topic.type)))
+
+    def _keep(self, entity: Any) -> Any:
+        """The entity, which is let go at the end: a call of `__del__` is the only way that the binding offers."""
+        self._open.callback(entity.__del__)
+        return entity
 
 
 class Reader:
@@ -224,7 +217,7 @@ class Reader:
         self._reader, self._depth = reader, topic.quality.depth
         self.topic = topic
         """what is subscribed"""
-        self._names: dict[int, str] = {}
+        self._publisher = functools.cache(functools.partial(_publisher, reader))
 
     @property
     def publishers(self) -> int:
@@ -238,15 +231,8 @@ class Reader:
     def messages(self) -> list[Message]:
         """The messages that have arrived since the last call, the newest at last."""
         samples = self._reader.take(N=self._depth)
-        return [Message(s.data, self._publisher(s.sample_info)) for s in samples if hasattr(s, "data")]
-
-    def _publisher(self, info: Any) -> str:
-        """The identifier of a publisher in the network: its handle is another one after a break of the network."""
-        handle = info.publication_handle
-        if handle not in self._names:
-            found = self._reader.get_matched_publication_data(handle)
-            self._names[handle] = str(handle if found is None else found.key)
-        return self._names[handle]
+        arrived = [sample for sample in samples if hasattr(sample, "data")]
+        return [Message(sample.data, self._publisher(sample.sample_info.publication_handle)) for sample in arrived]
 
 
 class Writer:
@@ -267,6 +253,22 @@ class Writer:
     def readers(self) -> int:
         """How many readers there are."""
         return len(self._writer.get_matched_subscriptions())
+
+
+def _endpoints(announced: Any, name: str) -> list[Endpoint]:
+    """What a network announces of a topic now."""
+    alive = dds("core").InstanceState.Alive
+    return [
+        Endpoint(_ROS_TYPE.sub(r"\1/\2/\3", e.type_name), str(e.participant_key))
+        for e in announced.read(N=_MOST_ENDPOINTS)
+        if e.sample_info.valid_data and e.sample_info.instance_state == alive and e.topic_name == f"rt{name}"
+    ]
+
+
+def _publisher(reader: Any, handle: int) -> str:
+    """The identifier of a publisher in the network: its handle is another one after a break of the network."""
+    found = reader.get_matched_publication_data(handle)
+    return str(handle if found is None else found.key)
 
 
 def _is_address(text: str) -> bool:

@@ -20,6 +20,7 @@ from sixthsense.live.network import Writer
 from sixthsense.live.reading import TWIST, TWIST_STAMPED
 from sixthsense.live.robot import LiveRobot
 from sixthsense.live.topics import RELIABLE, Topic
+from sixthsense.loop.run import OnTick
 from sixthsense.record.messages import WORLD, Messages
 from sixthsense.record.trace import Trace
 
@@ -33,47 +34,32 @@ POSE = Topic("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", RELIABLE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE._replace(depth=100))
 
 
-class Publisher:
-    """A hook of the loop."""
+def publisher(
+    advertise: Callable[[Topic], Writer], robot: LiveRobot, offer_map: Callable[[int, Trace], object], ahead_s: float
+) -> OnTick:
+    """A hook that sends what a scan has changed, with its stamp; while scans are left out the transform as it was.
 
-    def __init__(
-        self,
-        advertise: Callable[[Topic], Writer],
-        robot: LiveRobot,
-        offer_map: Callable[[int, Trace], object],
-        ahead_s: float,
-    ) -> None:
-        """`advertise` gives what a topic is written with.
+    `advertise` gives what a topic is written with. `offer_map` takes the stamp of each scan, after which the map may
+    have changed, and the trace. The transform is dated `ahead_s` later than its scan: so long it holds for those who
+    look it up.
+    """
+    make, pose_writer, tf_writer = Messages(), advertise(POSE), advertise(TF)
+    T_map_odom: Pose | None = None
 
-        `offer_map` takes the stamp of each scan, after which the map may have changed, and the trace.
+    def hook(tick: Tick, trace: Trace) -> None:
+        nonlocal T_map_odom
+        stamp_ns = robot.joiner.clock.stamp(tick.stamp_ns)
+        if tick.scan is not None:
+            pose = Pose.from_array(trace.estimates[-1])
+            pose_writer.send(make.serialized(make.estimate(stamp_ns, pose, pose_covariance(trace)), POSE.type))
+            T_map_odom = robot.odom_in_map(tick, pose)
+        if T_map_odom is not None and (tick.scan is not None or robot.is_paused):
+            transform = make.transform(stamp_ns + round(1e9 * ahead_s), WORLD, robot.odom_frame, T_map_odom)
+            tf_writer.send(make.serialized(transform, TF.type))
+        if tick.scan is not None:
+            offer_map(stamp_ns, trace)
 
-        The transform is dated `ahead_s` later than its scan: so long it holds for those who look it up.
-        """
-        self._robot, self._messages, self._offer_map = robot, Messages(), offer_map
-        self._ahead_ns = round(1e9 * ahead_s)
-        self._T_map_odom: Pose | None = None
-        self._pose, self._tf = advertise(POSE), advertise(TF)
-
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Send what a scan has changed, with its stamp; while scans are left out the transform as it was."""
-        stamp_ns = self._robot.joiner.clock.stamp(tick.stamp_ns)
-        if tick.scan is None:
-            if self._robot.is_paused and self._T_map_odom is not None:
-                self._send_transform(stamp_ns, self._T_map_odom)
-            return
-        pose = Pose.from_array(trace.estimates[-1])
-        self._pose.send(self._estimate(stamp_ns, pose, trace))
-        self._T_map_odom = self._robot.odom_in_map(tick, pose)
-        self._send_transform(stamp_ns, self._T_map_odom)
-        self._offer_map(stamp_ns, trace)
-
-    def _send_transform(self, stamp_ns: int, T_map_odom: Pose) -> None:
-        transform = self._messages.transform(stamp_ns + self._ahead_ns, WORLD, self._robot.odom_frame, T_map_odom)
-        self._tf.send(self._messages.serialized(transform, TF.type))
-
-    def _estimate(self, stamp_ns: int, pose: Pose, trace: Trace) -> bytes:
-        message = self._messages.estimate(stamp_ns, pose, pose_covariance(trace))
-        return self._messages.serialized(message, POSE.type)
+    return hook
 
 
 def pose_covariance(trace: Trace) -> Array:

@@ -20,18 +20,17 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
-from sixthsense.core.source import Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.diagnostics import TOPIC as DIAGNOSTICS
-from sixthsense.live.diagnostics import Diagnostics
+from sixthsense.live.diagnostics import diagnostics
 from sixthsense.live.maps import MapSender
 from sixthsense.live.network import Network, Node, Reader
-from sixthsense.live.publishing import Commands, Publisher, Stamped
+from sixthsense.live.publishing import Commands, Stamped, publisher
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
 from sixthsense.live.requests import Requests
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
-from sixthsense.loop.run import OnTick, recorded_drive
+from sixthsense.loop.run import OnTick, combined_hooks, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -180,23 +179,18 @@ class Session:
             robot.takes_start &= prior is None or prior.pose is None
             if config.no_odometry:
                 robot.odom_frame = self._frames.root(self._laser.frame)
-            publisher = Publisher(self._advertise, robot, self._maps.offer, self._transform_ahead_s)
             self._maps.begin_anew()
-
-            diagnostics = Diagnostics(self._node.writer(DIAGNOSTICS).send, robot.joiner.clock.stamp, pilot)
-
-            def on_tick(tick: Tick, trace: Trace) -> None:
-                publisher(tick, trace)
-                diagnostics(tick, trace)
-                if hook is not None:
-                    hook(tick, trace)
-
+            hooks = [
+                publisher(self._advertise, robot, self._maps.offer, self._transform_ahead_s),
+                diagnostics(self._node.writer(DIAGNOSTICS).send, robot.joiner.clock.stamp, pilot),
+                *([] if hook is None else [hook]),
+            ]
             self._discard()
             if (start := robot.begin()) is None:
                 if robot.outcome is not None:
                     raise InputError(self._topics.scan, f"found {robot.outcome}", "one robot")
                 raise KeyboardInterrupt
-            recorded_drive(robot, start, pilot, trace, on_tick, prior)
+            recorded_drive(robot, start, pilot, trace, combined_hooks(*hooks), prior)
         trace.outcome = robot.outcome or _by_user(trace.outcome)
         return trace
 

@@ -75,71 +75,74 @@ def sensed(source: Source, command: Command, clock: Stopwatch) -> Tick | None:
         return source.step(command)
 
 
-class Deadline:
-    """A watcher that ends a run when `max_time_s` of source time has passed."""
+def combined_hooks(*hooks: OnTick) -> OnTick:
+    """Several hooks of the loop as one."""
 
-    def __init__(self, max_time_s: float, outcome: str) -> None:
-        self._max_ns, self._outcome = round(max_time_s * 1e9), outcome
-        self._first_ns: int | None = None
+    def call(tick: Tick, trace: Trace) -> None:
+        for hook in hooks:
+            hook(tick, trace)
 
-    def __call__(self, tick: Tick, step: Step, command: Command) -> str | None:
-        """The outcome, if the time has passed."""
-        if self._first_ns is None:
-            self._first_ns = tick.stamp_ns
-        return self._outcome if tick.stamp_ns >= self._first_ns + self._max_ns else None
+    return call
 
 
-class Recorder:
-    """Appends what each tick brought to a trace."""
+def deadline(max_time_s: float, outcome: str) -> Watcher:
+    """A watcher that ends a run with an outcome when `max_time_s` of source time has passed."""
+    end_ns: int | None = None
 
-    def __init__(self, trace: Trace, slam: Slam, pilot: Pilot) -> None:
-        """Record into `trace`, which shows the plans and the map from now on."""
-        self._trace, self._slam, self._pilot = trace, slam, pilot
-        trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
-        trace.live = Live(slam.estimator, slam.associator.records, slam.draw_map, slam.mapper)
-        self._began = time.perf_counter()
-        self._is_measured = not trace.config.no_odometry
+    def watch(tick: Tick, step: Step, command: Command) -> str | None:
+        nonlocal end_ns
+        if end_ns is None:
+            end_ns = tick.stamp_ns + round(max_time_s * 1e9)
+        return outcome if tick.stamp_ns >= end_ns else None
 
-    def __call__(self, tick: Tick, step: Step, command: Command) -> None:
-        """Record one tick."""
-        trace, keyframe = self._trace, step.keyframe
+    return watch
+
+
+def recorder(trace: Trace, slam: Slam, pilot: Pilot) -> Watcher:
+    """A watcher that appends what each tick brought to a trace, which shows the plans and the map from now on."""
+    trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
+    live = trace.live = Live(slam.estimator, slam.associator.records, slam.draw_map, slam.mapper)
+    is_measured = has_wheels = not trace.config.no_odometry
+
+    def record(tick: Tick, step: Step, command: Command) -> None:
+        nonlocal is_measured
+        keyframe = step.keyframe
         trace.stopwatch.end_tick(keyframe is not None)
         is_carried = step.increment is not None and step.increment.is_carried()
-        self._is_measured &= not (tick.is_unmeasured or is_carried)
-        assert trace.live is not None
-        trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since.cov
+        is_measured &= not (tick.is_unmeasured or is_carried)
+        live.scan, live.since_cov = step.scan or live.scan, step.since.cov
         if keyframe is not None:
-            trace.live.features = keyframe.features
-            trace.add_keyframe(tick, keyframe, step.scan, self._is_measured)
-            self._is_measured = not trace.config.no_odometry
+            live.features = keyframe.features
+            trace.add_keyframe(tick, keyframe, step.scan, is_measured)
+            is_measured = has_wheels
         trace.add_tick(tick, step.dead_reckoned, is_carried)
         if tick.scan is not None or tick.observations is not None:
             trace.add_scan(tick, step)
 
-    def finish(self, outcome: str) -> None:
-        """Record how the run ended, and what is known then."""
-        trace, navigator = self._trace, self._pilot.navigator
-        trace.outcome = outcome
-        trace.wall_time_s = time.perf_counter() - self._began
-        trace.live = None
-        trace.left = navigator.left
-        if navigator.plans_below_margin is not None:
-            trace.guard_stops, trace.plans_below_margin = self._pilot.guard.stops, navigator.plans_below_margin
-            trace.plans_by_astar = navigator.plans_by_astar
-        result = self._slam.finish()
-        trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
-        if trace.config.no_odometry:  # no wheels have counted the way
-            trace.path_length_m = float(np.hypot(*np.diff(result.trajectory[:, :2], axis=0).T).sum())
-        trace.records = dict(result.landmark_records)
-        trace.culled, trace.walls_merged = result.culled, result.walls_merged
-        trace.loop_closures, trace.links = result.loop_closures, result.links
-        if result.wheels is not None:
-            trace.wheels = result.wheels.with_sigmas()
-        if result.sensor is not None:
-            trace.sensor = result.sensor.with_sigmas()
-        if result.since_key is not None:
-            trace.since_key = list(result.since_key)
-        trace.verdict = judge(trace.witnesses())
+    return record
+
+
+def finish(trace: Trace, slam: Slam, pilot: Pilot, outcome: str) -> None:
+    """Record how a run ended, and what is known then."""
+    navigator = pilot.navigator
+    trace.outcome, trace.live, trace.left = outcome, None, navigator.left
+    if navigator.plans_below_margin is not None:
+        trace.guard_stops, trace.plans_below_margin = pilot.guard.stops, navigator.plans_below_margin
+        trace.plans_by_astar = navigator.plans_by_astar
+    result = slam.finish()
+    trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
+    if trace.config.no_odometry:  # no wheels have counted the way
+        trace.path_length_m = float(np.hypot(*np.diff(result.trajectory[:, :2], axis=0).T).sum())
+    trace.records = dict(result.landmark_records)
+    trace.culled, trace.walls_merged = result.culled, result.walls_merged
+    trace.loop_closures, trace.links = result.loop_closures, result.links
+    if result.wheels is not None:
+        trace.wheels = result.wheels.with_sigmas()
+    if result.sensor is not None:
+        trace.sensor = result.sensor.with_sigmas()
+    if result.since_key is not None:
+        trace.since_key = list(result.since_key)
+    trace.verdict = judge(trace.witnesses())
 
 
 def run(
@@ -220,7 +223,7 @@ def find_start(
     ):
         watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
         if config.max_time is not None:
-            watchers.append(Deadline(config.max_time, "out of time"))
+            watchers.append(deadline(config.max_time, "out of time"))
         outcome = drive(first, slam, pilot, watchers, clock)
     if outcome == "interrupted":
         raise KeyboardInterrupt
@@ -255,19 +258,20 @@ def recorded_drive(
     """Run the loop with recorder, hook, deadline and interrupt as watchers, and return the record."""
     config, clock = trace.config, trace.stopwatch
     with _slam(start, trace, pilot, prior) as slam:
-        recorder = Recorder(trace, slam, pilot)
+        record, began = recorder(trace, slam, pilot), time.perf_counter()
         with deferred_interrupt() as interrupted:
-            watchers: list[Watcher] = [recorder]
+            watchers: list[Watcher] = [record]
             if on_tick is not None:
                 watchers.append(lambda tick, step, command: on_tick(tick, trace))
             if config.max_time is not None:
-                watchers.append(Deadline(config.max_time, pilot.navigator.timeout_outcome))
+                watchers.append(deadline(config.max_time, pilot.navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
             own_parts = OwnParts(config, slam.estimator)
             outcome = drive(source, slam, pilot, watchers, clock, own_parts)
             # A robot that sends nothing brings no tick after which a watcher could end the run.
             with own_parts:
-                recorder.finish("interrupted" if outcome == "log ended" and interrupted() else outcome)
+                trace.wall_time_s = time.perf_counter() - began
+                finish(trace, slam, pilot, "interrupted" if outcome == "log ended" and interrupted() else outcome)
     return trace
 
 

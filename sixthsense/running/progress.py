@@ -13,21 +13,10 @@ import numpy as np
 
 if TYPE_CHECKING:
     from sixthsense.core.source import Tick
-    from sixthsense.loop.run import OnTick
     from sixthsense.record.trace import Trace
 
 _BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far, {remaining} left"
 _ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
-
-
-def combined_hooks(*hooks: OnTick) -> OnTick:
-    """Combine several hooks of the loop into one."""
-
-    def call(tick: Tick, trace: Trace) -> None:
-        for hook in hooks:
-            hook(tick, trace)
-
-    return call
 
 
 def in_notebook() -> bool:
@@ -124,30 +113,30 @@ def area_of(trace: Trace, area_m2: float) -> str:
     return f"{area_m2:.0f} of at most {max(area_m2, (x1 - x0) * (y1 - y0)):.0f} m² seen"
 
 
-class LiveStatus:
-    """The status of a live run: sigmas of the pose, seen area, scans a second, dropped messages."""
+def live_status(dropped: Mapping[str, int], seen_m2: Callable[[], float]) -> Callable[[Trace], str]:
+    """The status of a live run: sigmas of the pose, seen area, scans a second since the last call, dropped messages.
 
-    def __init__(self, dropped: Mapping[str, int], seen_m2: Callable[[], float]) -> None:
-        """`dropped` has the present numbers of dropped messages by reason; `seen_m2` gives the area of the map."""
-        self._dropped, self._seen_m2 = dropped, seen_m2
-        self._before: tuple[float, int] | None = None  # time and number of scans at the last call
+    `dropped` has the present numbers of dropped messages by reason; `seen_m2` gives the area of the map.
+    """
+    before: tuple[float, int] | None = None  # time and number of scans at the last call
 
-    def __call__(self, trace: Trace) -> str:
-        """The status now; the rate is that since the last call."""
+    def status(trace: Trace) -> str:
         from sixthsense.live.publishing import pose_covariance
 
+        nonlocal before
         cov = pose_covariance(trace)
         sigma_m, sigma_rad = np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]), np.sqrt(cov[2, 2])
-        now, before = (time.monotonic(), len(trace.stamps_ns)), self._before
-        self._before = now
-        rate = "" if before is None else f"{(now[1] - before[1]) / (now[0] - before[0]):.1f} scans/s"
+        now, last = (time.monotonic(), len(trace.stamps_ns)), before
+        before = now
         parts = (
             f"sigma {sigma_m:.2f} m {np.degrees(sigma_rad):.1f}°",
-            area_of(trace, self._seen_m2()),
-            rate,
-            f"{sum(self._dropped.values())} dropped",
+            area_of(trace, seen_m2()),
+            "" if last is None else f"{(now[1] - last[1]) / (now[0] - last[0]):.1f} scans/s",
+            f"{sum(dropped.values())} dropped",
         )
         return ", ".join(part for part in parts if part)
+
+    return status
 
 
 def progress_bar(shown: bool | None, **options: Any) -> Any:

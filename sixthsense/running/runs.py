@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from sixthsense.config import Config
 from sixthsense.config.files import path_of
 from sixthsense.core.interrupt import deferred_interrupt
-from sixthsense.running.progress import LiveStatus, Progress, combined_hooks, seen_area
+from sixthsense.running.progress import Progress, live_status, seen_area
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -108,7 +108,7 @@ def replay_log(
 
 def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: RunHooks, prior: PriorStart | None) -> Run:
     """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
-    status = LiveStatus(session.notices.dropped, session.seen_m2)
+    status = live_status(session.notices.dropped, session.seen_m2)
     bar = Progress("live", session.config.max_time, shown=watch.progress, status=status)
     return _watched(
         lambda hook: session.run(drive, hook, prior), "live", session.config, bar, folder, watch, of_log=not drive
@@ -125,6 +125,7 @@ def _watched(
     of_log: bool = False,
 ) -> Run:
     """What `go` makes of a run, called after each tick with the hooks that record, show and watch it."""
+    from sixthsense.loop import run as loop
     from sixthsense.running.warmup import prepare
 
     if watch.say is not None:
@@ -142,7 +143,7 @@ def _watched(
             record = open_hooks.enter_context(RecordWriter(folder.partial))
             bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
             hooks = [bag, *hooks]
-        trace = go(combined_hooks(*hooks))
+        trace = go(loop.combined_hooks(*hooks))
         if watch.at_end is not None:
             watch.at_end(trace)
     from sixthsense.figures.run import Run  # here, since a run that begins need not wait for what shows it at its end

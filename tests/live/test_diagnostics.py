@@ -7,7 +7,7 @@ from driven import config, mirrored, ticks
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
-from sixthsense.live.diagnostics import LEVELS, Diagnostics
+from sixthsense.live.diagnostics import LEVELS, diagnostics
 from sixthsense.loop.run import replay
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -32,7 +32,7 @@ def told(own):
         sent.append(Messages().store.deserialize_cdr(data, DIAGNOSTICS))
         paces.append(pilot.pace)
 
-    hook = Diagnostics(send, lambda stamp: stamp + LATE_NS, pilot)
+    hook = diagnostics(send, lambda stamp: stamp + LATE_NS, pilot)
     trace = replay(Log(own), config(), on_tick=hook)
     return sent, trace.verdict, paces
 

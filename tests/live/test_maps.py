@@ -9,7 +9,7 @@ import numpy as np
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.maps import MAP, UPDATES, Beginning, MapDrawer, MapWriter, News, Parts
+from sixthsense.live.maps import MAP, UPDATES, Beginning, MapWriter, News, map_drawer, part_since
 from sixthsense.record.messages import Messages
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
@@ -66,14 +66,16 @@ def look(trace: Any, at: Pose, range_m: float) -> None:
 
 
 def test_what_a_subscriber_puts_together_is_the_map_also_when_it_grows_is_lost_or_someone_comes():
-    node, trace, parts = Network(), a_trace(), Parts()
+    node, trace, revision = Network(), a_trace(), None
     writer = MapWriter(node)
 
     def tell(at: Pose, range_m: float) -> list[str]:
         look(trace, at, range_m)
         node.sent.clear()
-        part = parts.take(STAMP, trace.grid, trace.config.grid.cell_m)
-        assert part is not None and parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is None
+        nonlocal revision
+        part = part_since(revision, STAMP, trace.grid, trace.config.grid.cell_m)
+        revision = trace.grid.changes.revision
+        assert part is not None and part_since(revision, STAMP, trace.grid, trace.config.grid.cell_m) is None
         writer.take(part)
         return list(node.sent)
 
@@ -104,11 +106,11 @@ def test_what_a_subscriber_puts_together_is_the_map_also_when_it_grows_is_lost_o
 
 
 def test_a_map_that_is_too_large_for_a_message_is_not_sent():
-    trace, parts = a_trace(), Parts()
+    trace = a_trace()
     look(trace, Pose(0.4, -0.3, 0.7), 3.0)
-    assert parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is not None
+    assert part_since(None, STAMP, trace.grid, trace.config.grid.cell_m) is not None
     look(trace, Pose(1500.0, 1400.0, 0.7), 3.0)
-    assert parts.take(STAMP, trace.grid, trace.config.grid.cell_m) is None
+    assert part_since(None, STAMP, trace.grid, trace.config.grid.cell_m) is None
 
 
 def test_the_process_of_the_map_draws_what_the_run_would_draw_also_when_poses_move_and_a_map_begins_anew():
@@ -123,7 +125,7 @@ def test_the_process_of_the_map_draws_what_the_run_would_draw_also_when_poses_mo
         own, sent, trajectory = Mapper(config, 0.2), 0, np.zeros((0, 3))
         if evidence is not None:
             own.start_from(evidence)
-        drawer = MapDrawer(writer, pickle.loads(pickle.dumps(Beginning(config, 0.2, evidence))))
+        draw = map_drawer(writer, pickle.loads(pickle.dumps(Beginning(config, 0.2, evidence))))
         for count in (1, 4, 13, 14, 31):
             for k in range(len(trajectory), count):
                 ranges = rng.uniform(1.0, 5.0, 200).astype(np.float32)
@@ -133,7 +135,7 @@ def test_the_process_of_the_map_draws_what_the_run_would_draw_also_when_poses_mo
                 own.add(k, trajectory.copy, Scan(ranges, np.float32(-2.9), np.float32(0.029), 9.0), walls)
             news = News(STAMP, None, own.additions(sent))
             sent = count
-            grid = drawer.take(pickle.loads(pickle.dumps(news)))
+            grid = draw(pickle.loads(pickle.dumps(news)))
             np.testing.assert_array_equal(grid.occupancy(), own.draw().occupancy())
             np.testing.assert_array_equal(node.cells, grid.occupancy())
             assert (node.info.origin.position.x, node.info.origin.position.y) == grid.origin

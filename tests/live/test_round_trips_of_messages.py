@@ -16,7 +16,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.live.joining import ScanJoiner
-from sixthsense.live.publishing import POSE, TF, Publisher
+from sixthsense.live.publishing import POSE, TF, publisher
 from sixthsense.live.reading import TRANSFORMS, LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot
 from sixthsense.record.messages import Messages
@@ -127,7 +127,7 @@ def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     robot, sink, estimate = robot_whose_clock_was_set_back_an_hour(T_old_odom), Sink(), key @ since
     trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
     offered: list[Any] = []
-    publish = Publisher(sink.writer, robot, lambda *of: offered.append(of), 0.37)
+    publish = publisher(sink.writer, robot, lambda *of: offered.append(of), 0.37)
     robot.is_paused = True
     publish(Tick(time_ns, odometry), trace)
     assert not any(sink.sent.values())

@@ -11,8 +11,9 @@ import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import rotation
+from sixthsense.loop.run import combined_hooks
 from sixthsense.record.trace import Trace
-from sixthsense.running.progress import LiveStatus, Progress, combined_hooks, seen_area
+from sixthsense.running.progress import Progress, live_status, seen_area
 
 
 def a_live_trace(scans: int) -> Trace:
@@ -29,7 +30,7 @@ def test_the_status_of_a_live_run_has_sigmas_rate_and_dropped_messages(monkeypat
     monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
     dropped: Counter[str] = Counter()
     seen_m2 = [0.0]
-    status = LiveStatus(dropped, lambda: seen_m2[0])
+    status = live_status(dropped, lambda: seen_m2[0])
     assert status(a_live_trace(3)) == "sigma 0.05 m 0.5°, 0 dropped"
     now_s[0] = 2.0
     dropped.update({"scan late": 3, "odometry twice": 1})
