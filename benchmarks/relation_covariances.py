@@ -76,7 +76,6 @@ def errors_of(name: str) -> Errors:
     log, relations = found.log, found.relations
     assert relations is not None
     stamps, keys, wheels, key = [], [], [], 0
-    log.rewind()
     with Slam(of_log(preset("log"), log), log.start, draws_map=False) as slam:
         for tick in log.ticks:
             step = slam.take(tick)

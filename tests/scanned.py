@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from sixthsense.config import LaserConfig
+from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
+from sixthsense.slam.estimators import LandmarkPrior
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.prior_map import PriorMap
 
 
 def outline(*corners: tuple[float, float]) -> Array:
@@ -33,3 +38,12 @@ def look(
     ranges = cast_rays(pose @ Pose(*laser.mount), beam_bearings(laser), walls, laser.max_range)
     noise = sigma * np.random.default_rng(rng).standard_normal(len(ranges)) if sigma else 0.0
     return Scan.from_config(ranges + noise, laser)
+
+
+def map_of(walls: Array, poses: Iterable[Pose], laser: LaserConfig) -> PriorMap:
+    """A prior map without landmarks: the grid of noisy scans of walls from these poses."""
+    grid, none = Grid(GridConfig(), 0.2), np.zeros((0, 2))
+    for pose in poses:
+        grid.add(pose, look(pose, walls, laser, 0.01, 7), np.zeros((0, 2, 2)))
+    landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
+    return PriorMap("earlier", "", landmarks, {}, grid.submap(), GridConfig().cell_m)

@@ -25,7 +25,7 @@ from sixthsense.record.trace import Live, Stopwatch, Trace
 from sixthsense.slam.prior_map import PriorStart, check_usable
 from sixthsense.slam.result import Step
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.log import Log, Relations, RewindableSource
+from sixthsense.sources.logs.log import Log, Playback, Relations
 from sixthsense.sources.mission import Mission, mission_of
 from sixthsense.sources.replay_input import recorded_scene
 from sixthsense.sources.scene import Scene
@@ -185,13 +185,12 @@ def replay(
     With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
     scene, if that still loads, in `config`. `prior` is as of `run`.
     """
-    log.rewind()
     scene = recorded_scene(log, config)
     radius_m = config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
-    source: Source = log
+    source: Source = Playback(log.ticks)
     if prior is not None and prior.is_lost:
-        source, prior, _ = find_start(log, config, radius_m, prior, Navigator())
+        source, prior, _ = find_start(source, config, radius_m, prior, Navigator())
     pilot = Pilot(Navigator(), Guard(config, radius_m))
     return recorded_drive(source, log.start, pilot, trace, on_tick, prior)
 
@@ -206,11 +205,12 @@ def find_start(
     from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
 
     check_usable(prior.map, config)
-    first, relocalizer = RewindableSource(source), Relocalizer(prior.map.evidence, config)
-    start: Pose | None = None
+    relocalizer, start = Relocalizer(prior.map.evidence, config), None
+    driven: list[Tick] = []
 
     def search(tick: Tick, step: Step, command: Command) -> str | None:
         nonlocal start
+        driven.append(tick)
         if step.scan is not None:
             start = relocalizer.take(step.scan, step.pose)
         return NOWHERE if relocalizer.driven_m > MOST_DRIVEN_M else None if start is None else "located"
@@ -224,7 +224,7 @@ def find_start(
         watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
         if config.max_time is not None:
             watchers.append(deadline(config.max_time, "out of time"))
-        outcome = drive(first, slam, pilot, watchers, clock)
+        outcome = drive(source, slam, pilot, watchers, clock)
     if outcome == "interrupted":
         raise KeyboardInterrupt
     if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen
@@ -233,8 +233,7 @@ def find_start(
         found = f"found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
         ended = "" if outcome == NOWHERE else f" ({outcome})"
         raise InputError("lost", f"{found}{ended}", "a map of this building, in which places differ")
-    first.rewind()
-    return first, prior._replace(pose=start, sigma=FOUND_SIGMA), start
+    return Playback(driven, source), prior._replace(pose=start, sigma=FOUND_SIGMA), start
 
 
 def searching_navigator(config: Config, radius_m: float) -> Navigator:

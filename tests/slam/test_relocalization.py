@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scanned import box, look, outline
+from scanned import box, look, map_of, outline
 
 from sixthsense.config import Config, GridConfig, LaserConfig, ScansConfig, preset
 from sixthsense.config.errors import InputError
@@ -15,11 +15,9 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_prior_map
-from sixthsense.slam.estimators import LandmarkPrior
-from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.prior_map import PriorMap, PriorStart
+from sixthsense.slam.prior_map import PriorStart
 from sixthsense.slam.relocalization import Relocalizer
-from sixthsense.sources.logs.log import RewindableSource
+from sixthsense.sources.logs.log import Playback
 from sixthsense.sources.scene import load_scene
 
 LASER, GRID = LaserConfig(max_range=6.0), GridConfig()
@@ -56,17 +54,8 @@ def along(*points, step_m=0.2):
     return poses
 
 
-def map_of(walls, poses):
-    grid = Grid(GRID, 0.2)
-    for pose in poses:
-        grid.add(pose, seen(walls, pose, 7), np.zeros((0, 2, 2)))
-    none = np.zeros((0, 2))
-    landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
-    return PriorMap("earlier", "", landmarks, {}, grid.submap(), GRID.cell_m)
-
-
 WAY = along((1, 2), (4.5, 2), (4.5, 5), (14.5, 5), (14.5, 2), (12, 2), (14.5, 2), (14.5, 5), (19, 5), (19, 6.4))
-MAP = map_of(ROOMS, WAY)
+MAP = map_of(ROOMS, WAY, LASER)
 
 
 def search(poses, walls=ROOMS, prior=MAP, own=None, min_score=0.62):
@@ -109,11 +98,9 @@ class Numbers:
         return Tick(self.count, Pose()) if self.count <= 5 else None
 
 
-def test_a_rewound_source_gives_the_ticks_so_far_once_more_and_then_the_others():
-    source = RewindableSource(Numbers())
-    command = Command()
-    assert [source.step(command).stamp_ns for _ in range(3)] == [1, 2, 3]
-    source.rewind()
+def test_the_ticks_so_far_come_once_more_and_then_the_others():
+    numbers, command = Numbers(), Command()
+    source = Playback([numbers.step(command) for _ in range(3)], numbers)
     assert [source.step(command).stamp_ns for _ in range(5)] == [1, 2, 3, 4, 5]
     assert source.step(command) is None
 

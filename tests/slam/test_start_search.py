@@ -5,15 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scanned import look, outline
+from scanned import look, map_of, outline
 
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.slam.estimators import LandmarkPrior
-from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.prior_map import PriorMap
 from sixthsense.slam.relocalization import located
 
 LASER, GRID = LaserConfig(), GridConfig()
@@ -26,16 +23,7 @@ def seen(walls, pose, seed=0):
     return look(pose, walls, LASER, 0.01, seed)
 
 
-def map_of(walls, *poses):
-    grid = Grid(GRID, 0.2)
-    for pose in poses:
-        grid.add(pose, seen(walls, pose, 7), np.zeros((0, 2, 2)))
-    none = np.zeros((0, 2))
-    landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
-    return PriorMap("earlier", "", landmarks, {}, grid.submap(), GRID.cell_m)
-
-
-ROOM_MAP = map_of(ROOM, Pose(1.0, 1.0, 0.0), Pose(4.0, 3.0, 1.0), Pose(3.5, 1.0, 2.0))
+ROOM_MAP = map_of(ROOM, [Pose(1.0, 1.0, 0.0), Pose(4.0, 3.0, 1.0), Pose(3.5, 1.0, 2.0)], LASER)
 
 
 @pytest.mark.parametrize("sigma", [0.1, 0.3, 0.8])
@@ -58,7 +46,7 @@ def test_a_wall_that_has_moved_does_not_shift_the_pose():
 
 def test_along_a_corridor_the_pose_stays_where_it_was_said_to_be():
     """Nothing tells the place along it, so that the given one is as good as any."""
-    corridor = map_of(CORRIDOR, *(Pose(float(x), 0.0, 0.0) for x in range(-12, 13)))
+    corridor = map_of(CORRIDOR, [Pose(float(x), 0.0, 0.0) for x in range(-12, 13)], LASER)
     true, rough = Pose(0.15, 0.1, 0.05), Pose(0.0, 0.0, 0.0)
     found = located(seen(CORRIDOR, true), corridor, rough, np.diag([0.08, 0.08, 0.04]) ** 2, GRID)
     assert abs(found.x - rough.x) < 0.06

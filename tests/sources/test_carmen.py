@@ -18,7 +18,6 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.core.source import Command
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.carmen import read_carmen
 from sixthsense.sources.logs.laser_geometry import max_range_of
@@ -63,13 +62,9 @@ def test_a_log_has_one_tick_per_odometry_or_laser_line_in_the_order_of_the_file(
     skipped = ["\n", "RLASER 1 2.0\n", "NMEA-GGA x\n"]
     lines = [HEADER, odom(1, x=1), "SYNC start\n", flaser(2, robot=Pose(4.0)), *skipped, odom(3, x=7)]
     log = read(tmp_path, "".join(lines), LASER)
-    seen = []
-    while (tick := log.step(Command(1.0, 1.0))) is not None:
-        seen.append(tick)
-    assert [tick.odometry.x for tick in seen] == [1.0, 4.0, 7.0]
-    assert [tick.scan is not None for tick in seen] == [False, True, False]
-    assert log.step(Command()) is None
-    assert log.start == seen[0].odometry and log.duration_s == pytest.approx(2.0)
+    assert [tick.odometry.x for tick in log.ticks] == [1.0, 4.0, 7.0]
+    assert [tick.scan is not None for tick in log.ticks] == [False, True, False]
+    assert log.start == log.ticks[0].odometry and log.duration_s == pytest.approx(2.0)
 
 
 def test_a_stated_laser_has_its_mount_its_bearings_and_no_returns_beyond_its_range(tmp_path: Path) -> None:

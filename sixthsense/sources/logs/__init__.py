@@ -1,4 +1,4 @@
-"""Recorded logs: each reader returns a `Source`, so that logs and the simulated world drive the same loop."""
+"""Recorded logs: each reader returns a `Log`, whose ticks drive the same loop as the simulated world."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import bz2
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any
@@ -51,7 +52,7 @@ def opened(path: Path, remarks: list[str] | None = None) -> Iterator[AnyReader]:
         store = get_typestore(Stores.ROS2_HUMBLE)
         with (
             bounded(path),
-            readable(path, _begin_of, [] if remarks is None else remarks) as paths,
+            readable(path, partial(decompressed, is_whole=False), [] if remarks is None else remarks) as paths,
             AnyReader(paths, default_typestore=store) as reader,
         ):
             yield reader
@@ -62,11 +63,6 @@ def opened(path: Path, remarks: list[str] | None = None) -> Iterator[AnyReader]:
         if suffix_of(path) == ".bag":
             allowed = "a whole ROS 1 bag; `rosbag reindex` makes one of what was cut short"
         raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", allowed) from None
-
-
-def _begin_of(data: bytes, compression: str) -> bytes:
-    """As `decompressed`, of data that may be cut short: as far as it goes."""
-    return decompressed(data, compression, is_whole=False)
 
 
 def _check_first_line(path: Path) -> None:

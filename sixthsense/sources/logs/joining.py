@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,9 @@ from sixthsense.core.source import Tick
 from sixthsense.sources.logs.clocks import MIRRORED, are_mirrored, clock_offset_s, least_s
 from sixthsense.sources.logs.log import longest_s, pose_between
 from sixthsense.sources.logs.stamps import passed_s, shown_span
+
+_Row = tuple[int, Pose | None, dict[str, Any]]
+"""stamp and odometry of a tick, and what it has of a scan"""
 
 _AGREE_S = 1.0  # by which the offset by times of recording differs from that by turns: what messages take
 
@@ -81,33 +83,6 @@ def _shifted(stamped: Sequence[Stamped], by_s: float) -> list[Stamped]:
     return [each._replace(own_ns=each.own_ns + by_ns) for each in stamped]
 
 
-@dataclass(slots=True)
-class _Joined:
-    """Ticks, and what is known of odometry at the last one."""
-
-    ticks: list[Tick] = field(default_factory=list)
-    alone: list[int] = field(default_factory=list)
-    """rows of the ticks whose scans have no odometry"""
-    T_held: Pose = field(default_factory=Pose)
-    """brings odometry after a time without any to where it was"""
-    is_alone: bool = False
-    """whether the last tick has none"""
-
-    def add(self, stamp_ns: int, T_odom_robot: Pose | None, first: Pose, **values: object) -> None:
-        """Add a tick; without odometry it keeps the pose of the last one, or at the beginning has the `first`."""
-        last = self.ticks[-1] if self.ticks else None
-        stamp_ns = stamp_ns if last is None else max(stamp_ns, last.stamp_ns + 1)
-        held = first if last is None else last.odometry
-        if T_odom_robot is None:
-            self.alone.append(len(self.ticks))
-        elif self.is_alone:
-            self.T_held = held @ T_odom_robot.inverse()
-        pose = held if T_odom_robot is None else self.T_held @ T_odom_robot
-        is_unmeasured = T_odom_robot is None or self.is_alone
-        self.ticks.append(Tick(stamp_ns, pose, is_unmeasured=is_unmeasured, **values))  # type: ignore[arg-type]
-        self.is_alone = T_odom_robot is None
-
-
 def joined(
     scans: Sequence[Stamped], odometry: Sequence[Stamped], own_s: Sequence[float], by_stamps: bool, remarks: list[str]
 ) -> list[Tick]:
@@ -123,21 +98,44 @@ def joined(
         key=(lambda e: (e[0].end_ns, isinstance(e[0].value, Scan))) if by_stamps else (lambda e: e[0].place),
     )
     known = _Known(odometry, by_stamps)
-    first, out, last, since = known.poses[0], _Joined(), -1, 0
+    rows: list[_Row] = []
+    last, since = -1, 0
     for each, own in entries:
         if isinstance(each.value, Pose):
             last, since = last + 1, 0
-            out.add(each.own_ns, each.value, first)
+            rows.append((each.own_ns, each.value, {}))
             continue
-        is_shared = out.ticks and out.ticks[-1].scan is None and last >= 0 and each.end_ns == odometry[last].own_ns
-        if is_shared and not out.is_alone:
-            out.ticks[-1] = replace(out.ticks[-1], scan=each.value, log_stamp_s=own)
+        seen = {"scan": each.value, "log_stamp_s": own}
+        if rows and not rows[-1][2] and each.end_ns == odometry[last].own_ns:
+            rows[-1][2].update(seen)
             continue
         pose = known.at(each.end_ns) if by_stamps else known.after(last, since)
-        out.add(each.end_ns, pose, first, scan=each.value, log_stamp_s=own)
+        rows.append((each.end_ns, pose, seen))
         since += 1
-    remarks += _times_alone(out, entries)
-    return out.ticks
+    ticks, alone = _held(rows, known.poses[0])
+    remarks += _times_alone(ticks, alone)
+    return ticks
+
+
+def _held(rows: Sequence[_Row], first: Pose) -> tuple[list[Tick], list[int]]:
+    """Ticks, and the rows of those whose scans have no odometry.
+
+    They keep the pose of the tick before, or have the `first` at the beginning. Odometry goes on from there.
+    """
+    ticks: list[Tick] = []
+    alone: list[int] = []
+    T_held, is_alone = Pose(), False
+    for stamp_ns, T_odom_robot, seen in rows:
+        held = ticks[-1].odometry if ticks else first
+        if T_odom_robot is None:
+            alone.append(len(ticks))
+        elif is_alone:
+            T_held = held @ T_odom_robot.inverse()
+        pose = held if T_odom_robot is None else T_held @ T_odom_robot
+        at_ns = max(stamp_ns, ticks[-1].stamp_ns + 1) if ticks else stamp_ns
+        ticks.append(Tick(at_ns, pose, is_unmeasured=T_odom_robot is None or is_alone, **seen))
+        is_alone = T_odom_robot is None
+    return ticks, alone
 
 
 class _Known:
@@ -171,19 +169,19 @@ class _Known:
         return self.poses[last]
 
 
-def _times_alone(out: _Joined, entries: Sequence[tuple[Stamped, float]]) -> list[str]:
+def _times_alone(ticks: Sequence[Tick], alone: Sequence[int]) -> list[str]:
     """A line on the scans that have no odometry, if there are more than a moment's."""
-    rows = np.array(out.alone, dtype=np.int64)
+    rows = np.array(alone, dtype=np.int64)
     if not len(rows):
         return []
-    stamps_s = 1e-9 * np.array([tick.stamp_ns - out.ticks[0].stamp_ns for tick in out.ticks])
+    stamps_s = 1e-9 * np.array([tick.stamp_ns - ticks[0].stamp_ns for tick in ticks])
     spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     lines = []
     for span in spans:
         if len(span) == 1:
             continue  # a scan that ends after the last odometry, of any bag
         begin_s, end_s = stamps_s[span[0]], stamps_s[span[-1]]
-        when = "at the beginning" if span[0] == 0 else "at the end" if span[-1] == len(out.ticks) - 1 else "in a pause"
+        when = "at the beginning" if span[0] == 0 else "at the end" if span[-1] == len(ticks) - 1 else "in a pause"
         lines.append(f"{begin_s:.1f} to {end_s:.1f} s ({len(span)} scans, {when})")
     if not lines:
         return []

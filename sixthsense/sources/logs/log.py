@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,7 +34,7 @@ _MOVED_M, _FAR_M, _MOST = 0.3, 100.0, 0.5  # by which a range has changed, m; at
 
 
 class Log:
-    """A recorded log as a `Source`: its ticks in the order of the file."""
+    """A recorded log: its ticks in the order of the file."""
 
     ticks: tuple[Tick, ...]
     """All ticks."""
@@ -62,7 +61,6 @@ class Log:
         self._remarks = tuple(remarks)
         self._own_stamps = [tick.log_stamp_s for tick in self.ticks if tick.log_stamp_s is not None]
         self.backward_stamps = sum(later < earlier for earlier, later in itertools.pairwise(self._own_stamps))
-        self._next = 0
 
     @property
     def start(self) -> Pose:
@@ -97,38 +95,17 @@ class Log:
             changed.append(float(np.mean(np.abs(here - there) > _MOVED_M)))
         return max(changed) > _MOST
 
-    def rewind(self) -> None:
-        """Restart at the first tick."""
-        self._next = 0
+
+class Playback:
+    """A source of recorded ticks, and then of those of another source, if there is one."""
+
+    def __init__(self, ticks: Iterable[Tick], then: Source | None = None) -> None:
+        self._ticks, self._then = iter(ticks), then
 
     def step(self, command: Command) -> Tick | None:
-        """The next tick, None at the end; the command is ignored."""
-        if self._next == len(self.ticks):
-            return None
-        self._next += 1
-        return self.ticks[self._next - 1]
-
-
-class RewindableSource:
-    """Passes on the ticks of another source, and keeps them until `rewind`, after which they come first."""
-
-    def __init__(self, source: Source) -> None:
-        self._source = source
-        self._kept: deque[Tick] = deque()
-        self._is_rewound = False
-
-    def step(self, command: Command) -> Tick | None:
-        """The next tick; for one that comes a second time the command is ignored."""
-        if self._is_rewound and self._kept:
-            return self._kept.popleft()
-        tick = self._source.step(command)
-        if tick is not None and not self._is_rewound:
-            self._kept.append(tick)
-        return tick
-
-    def rewind(self) -> None:
-        """Begin again; ticks that follow those so far are not kept."""
-        self._is_rewound = True
+        """The next tick, None at the end; for a recorded one the command is ignored."""
+        tick = next(self._ticks, None)
+        return tick if tick is not None or self._then is None else self._then.step(command)
 
 
 def pose_between(before: tuple[int, Pose], after: tuple[int, Pose], at_ns: int) -> Pose:

@@ -45,7 +45,7 @@ _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
 class RunLog(Log):
-    """A `Source` that replays the bag of a run."""
+    """The bag of a run."""
 
     plans: Sequence[tuple[int, Array]] = ()
     """Record time and planned path (N, 2)."""
@@ -62,10 +62,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
     paths: dict[str, list[tuple[int, Array]]] = {"/plan": [], "/tour": []}
-    reader = _Chunks(file)
-    place = Pose(*laser.mount)
+    is_cut_short, place = False, Pose(*laser.mount)
     try:
-        for topic, record_ns, message in reader.messages():
+        for topic, record_ns, message in _messages(file):
             if topic == "/odom":
                 pose = planar(message.pose.pose.position, message.pose.pose.orientation)
                 last_ns = ticks[-1].stamp_ns if ticks else -1
@@ -92,72 +91,69 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 ticks[-1] = replace(ticks[-1], scan=seen, log_stamp_s=stamp_ns(message) / 1_000_000_000)
     except InputError:
         raise
+    except _CutShortError:
+        is_cut_short = True
     except Exception as error:  # a message with valid checksums may still be invalid
         raise InputError(file, f"found a message that cannot be read ({error})", "a bag of a run") from None
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
-        cut = " before it ends" * reader.cut_short
+        cut = " before it ends" * is_cut_short
         raise InputError(file, f"found no scan and no observation{cut}", "a bag of a run")
     if any(tick.closures for tick in ticks):
         ticks = [replace(tick, closures=tick.closures or ()) for tick in ticks]
     used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
-    remarks = [f"the recording is incomplete; its first {used_s:.1f} s are used"] * reader.cut_short
+    remarks = [f"the recording is incomplete; its first {used_s:.1f} s are used"] * is_cut_short
     log = RunLog(ticks, laser, remarks)
     log.plans, log.tours = paths["/plan"], paths["/tour"]
     return log
 
 
-class _Chunks:
-    """The messages of an MCAP file, chunk by chunk, up to its end or its first damage."""
+class _CutShortError(Exception):
+    """A recording has been read up to where it ends early."""
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self.cut_short = True
 
-    def messages(self) -> Iterator[tuple[str, int, Any]]:
-        """Topic, record time in ns, and message, for the topics of a log."""
-        from mcap.exceptions import McapError
-        from mcap.records import Channel, Message
-        from rosbags.typesys import Stores, get_typestore
+def _messages(file: Path) -> Iterator[tuple[str, int, Any]]:
+    """Topic, record time in ns, and message, for the topics of a log, chunk by chunk of an MCAP file."""
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Message
+    from rosbags.typesys import Stores, get_typestore
 
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        topics: dict[int, str] = {}
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    topics: dict[int, str] = {}
+    try:
+        check_regular(file)
+        with file.open("rb") as stream:
+            for record in _records(stream):
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message) and (topic := topics.get(record.channel_id, "")) in _TYPES:
+                    yield topic, record.log_time, store.deserialize_cdr(record.data, _TYPES[topic])
+    except FileNotFoundError:
+        raise InputError(file, "no such file", "a run folder with a bag") from None
+    except OSError as error:
+        raise InputError(file, f"cannot be read ({error.strerror})") from None
+    except (McapError, struct.error):
+        raise InputError(file, "is not an MCAP file", "a bag of a run") from None
+
+
+def _records(stream: IO[bytes]) -> Iterator[Any]:
+    """The records of whole chunks; raises _CutShortError after them if the file ends early, or is damaged there."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Chunk, DataEnd
+    from mcap.stream_reader import StreamReader, breakup_chunk, read_magic
+
+    read_magic(ReadDataStream(stream))
+    records = iter(StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=_LARGEST_CHUNK).records)
+    while True:
         try:
-            check_regular(self._file)
-            with self._file.open("rb") as stream:
-                for record in self._records(stream):
-                    if isinstance(record, Channel):
-                        topics[record.id] = record.topic
-                    elif isinstance(record, Message) and (topic := topics.get(record.channel_id, "")) in _TYPES:
-                        yield topic, record.log_time, store.deserialize_cdr(record.data, _TYPES[topic])
-        except FileNotFoundError:
-            raise InputError(self._file, "no such file", "a run folder with a bag") from None
-        except OSError as error:
-            raise InputError(self._file, f"cannot be read ({error.strerror})") from None
-        except (McapError, struct.error):
-            raise InputError(self._file, "is not an MCAP file", "a bag of a run") from None
-
-    def _records(self, stream: IO[bytes]) -> Iterator[Any]:
-        """The records of whole chunks."""
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Chunk, DataEnd
-        from mcap.stream_reader import StreamReader, breakup_chunk, read_magic
-
-        read_magic(ReadDataStream(stream))
-        records = iter(
-            StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=_LARGEST_CHUNK).records
-        )
-        while True:
-            try:
-                record = next(records)
-                if isinstance(record, DataEnd):
-                    self.cut_short = False
-                    return
-                if not isinstance(record, Chunk):
-                    continue
-                plain = replace(record, data=decompressed(record.data, record.compression), compression="")
-                content = breakup_chunk(plain, validate_crc=True)
-            except Exception:
-                # The writer was stopped here; an incomplete record can raise any exception. Each chunk has a checksum,
-                # so the records read before are valid.
+            record = next(records)
+            if isinstance(record, DataEnd):
                 return
-            yield from content
+            if not isinstance(record, Chunk):
+                continue
+            plain = replace(record, data=decompressed(record.data, record.compression), compression="")
+            content = breakup_chunk(plain, validate_crc=True)
+        except Exception:
+            # The writer was stopped here; an incomplete record can raise any exception. Each chunk has a checksum,
+            # so the records read before are valid.
+            raise _CutShortError from None
+        yield from content
