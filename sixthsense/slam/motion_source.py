@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -132,31 +133,29 @@ _TAUS_S = np.array([40.0, 40.0, 1.0])  # correlation times: one goes on for a wh
 _STAMPS, _APART = 64, 16  # stamps that tell the period, and scans within which a delay is made up for
 
 
-class ScanClock:
-    """The time between scans: a laser's period is steadier than its stamps, which are late where a computer was busy.
+def scan_clock() -> Callable[[float], float]:
+    """What tells the time since the scan before, seconds, of that which the stamps state.
 
-    A stamp that is late is made up for by the next ones; one after a gap is not. A gap is what is later than any delay
-    that was made up for so far.
+    A laser's period is steadier than its stamps, which are late where a computer was busy. A stamp that is late is made
+    up for by the next ones; one after a gap is not. A gap is what is later than any delay that was made up for so far.
     """
+    stamps_s: deque[float] = deque([0.0], maxlen=_STAMPS)  # of the last scans, since the first one
+    longest_s = 0.0  # the longest delay that was made up for
 
-    def __init__(self) -> None:
-        self._stamps_s: deque[float] = deque([0.0], maxlen=_STAMPS)
-        """of the last scans, since the first one"""
-        self._longest_s = 0.0
-        """the longest delay that was made up for"""
-
-    def period(self, stated_s: float) -> float:
-        """The time since the scan before, seconds, of that which the stamps state."""
-        self._stamps_s.append(self._stamps_s[-1] + stated_s)
-        stamps = np.array(self._stamps_s)
+    def period(stated_s: float) -> float:
+        nonlocal longest_s
+        stamps_s.append(stamps_s[-1] + stated_s)
+        stamps = np.array(stamps_s)
         apart = min(_APART, len(stamps) - 1)
         # The median bears a gap, and delays that are made up for.
         usual_s = float(np.median(stamps[apart:] - stamps[:-apart])) / apart
         before = stamps[-apart - 1 : -1]
         late_s = stamps[-1] - (before + usual_s * np.arange(apart, 0, -1))
-        is_gap = apart == _APART and late_s.max() > max(self._longest_s, usual_s)
-        self._longest_s = max(self._longest_s, -float(late_s.min()))
+        is_gap = apart == _APART and late_s.max() > max(longest_s, usual_s)
+        longest_s = max(longest_s, -float(late_s.min()))
         return max(stated_s, usual_s) if is_gap else usual_s
+
+    return period
 
 
 class LastVelocity:
@@ -168,7 +167,7 @@ class LastVelocity:
     is_guess = True
 
     def __init__(self) -> None:
-        self._clock = ScanClock()
+        self._period = scan_clock()
         self._velocity = np.zeros(3)
         """(3,) m/s and rad/s"""
         self._cov = np.diag(_SIGMAS**2)
@@ -190,7 +189,7 @@ class LastVelocity:
         `is_scan` is whether there is a scan now.
         """
         self._stated_s += duration_s
-        elapsed_s = self._clock.period(self._stated_s) if is_scan else self._stated_s
+        elapsed_s = self._period(self._stated_s) if is_scan else self._stated_s
         step_s, self._predicted_s = max(elapsed_s - self._predicted_s, 0.0), max(elapsed_s, self._predicted_s)
         ratio = step_s / _TAUS_S
         kept, way_s = np.exp(-ratio), -_TAUS_S * np.expm1(-ratio)

@@ -96,12 +96,10 @@ class MovingReturns:
         """Begin without a scan; `no_return_passes` is whether a beam without a return saw up to its maximum."""
         self._no_return = np.inf if no_return_passes else np.nan
         self._views: deque[View] = deque(maxlen=_KEPT)
-        self._split_at = Pose()
 
     def split(self, scan: Scan, T_world_robot: Pose, stamp_ns: int) -> tuple[Scan, Moving]:
         """The scan with NaN, no evidence, in the place of returns of what moves; and these."""
         counts = np.zeros(len(scan.ranges), dtype=np.int64)
-        self._split_at = T_world_robot
         points_robot = scan.points_robot
         points = T_world_robot @ points_robot
         recent = np.ones(len(counts), dtype=np.bool_)
@@ -120,12 +118,12 @@ class MovingReturns:
         still = replace(scan, ranges=np.where(moving, np.float32(np.nan), scan.ranges))
         return still, Moving(points_robot[moving], points_robot[moving & ~recent])
 
-    def keep(self, scan: Scan, T_world_robot: Pose, stamp_ns: int) -> None:
-        """Compare later scans with this one, too, which was split last, from its pose as it is estimated now.
+    def keep(self, scan: Scan, T_split: Pose, T_world_robot: Pose, stamp_ns: int) -> None:
+        """Compare later scans with this one, too, which was split at one pose and is estimated at another now.
 
         Where that has moved far, as after a loop closure, what earlier scans saw lies elsewhere.
         """
-        correction = self._split_at.inverse() @ T_world_robot
+        correction = T_split.inverse() @ T_world_robot
         if math.hypot(correction.x, correction.y) + _LEVER_M * abs(correction.theta) > _BEYOND_M:
             self._views.clear()
         if not self._views or stamp_ns - self._views[-1].stamp_ns >= _BETWEEN_NS:

@@ -15,7 +15,6 @@ from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
-from sixthsense.slam.front_end import Keyframe
 
 SCALE_SIGMA = 0.03
 """of the sensor's scale error, as by the size of a barcode. It is not estimated: beside wheels of unknown radius
@@ -29,9 +28,8 @@ class SensorCalibration:
         """Raises InputError for an estimator that cannot estimate the sensor."""
         if not isinstance(estimator, Filter):
             raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
-        prior = sensor_prior()
-        estimator.calibrate(prior)
-        self._start, self._estimator, self._sensor = start, estimator, prior.values
+        estimator.calibrate(sensor_prior())
+        self._start, self._estimator = start, estimator
         self._scale_variance = SCALE_SIGMA**2
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
@@ -40,13 +38,10 @@ class SensorCalibration:
 
     def corrected(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """Observations as the present parameters have them."""
-        return {i: observation.with_sensor(self._sensor) for i, observation in observations.items()}
-
-    def keyframe(self, keyframe: Keyframe) -> Keyframe:
-        """The keyframe with its estimate as `reported`; the sensor's newest parameters are used from now on."""
-        found = self.sensor()
-        self._sensor = self._sensor if found is None else found.values
-        return dataclasses.replace(keyframe, estimate=self.reported(keyframe.estimate))
+        sensor = self.sensor()
+        if sensor is None:
+            return observations
+        return {i: observation.with_sensor(sensor.values) for i, observation in observations.items()}
 
     def reported(self, estimate: Estimate) -> Estimate:
         """The estimate with the uncertainty of the scale, which no observation can reduce.

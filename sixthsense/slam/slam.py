@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -132,10 +133,12 @@ class Slam:
             self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
             scan = None if tick.scan is None else self._deskew(tick.scan)
         placed, still, moving, observations = increment, scan, NOTHING_MOVES, tick.observations or {}
+        guess = self.pose if increment is None else self.pose @ increment.motion
         if scan is not None and self._moving is not None:
-            still, moving = self._without_moving(self._moving, scan, increment, tick.stamp_ns)
+            # Not for features, which take moving legs for what they are: something that hides a wall.
+            still, moving = self._moving.split(scan, guess, tick.stamp_ns)
         if scan is not None and self._unplaced is not None:
-            placed = self._placed(scan, increment)
+            placed = self._placed(scan, guess, increment)
         if self._sensor is not None:
             observations = self._sensor.corrected(observations)
         keyframe = self._front_end.take(Evidence(placed, scan, still, observations, tick.closures))
@@ -146,7 +149,7 @@ class Slam:
                     self._add_to_map(still, keyframe, moving)
         pose, since, grid = self._front_end.pose, self._front_end.since, self._mapper.grid
         if scan is not None and self._moving is not None:
-            self._moving.keep(scan, pose, tick.stamp_ns)
+            self._moving.keep(scan, guess, pose, tick.stamp_ns)
         dead_reckoned = self._T_world_odom @ tick.odometry
         return Step(tick.stamp_ns, pose, dead_reckoned, increment, since, scan, keyframe, grid, moving)
 
@@ -266,36 +269,27 @@ class Slam:
         duration_s = seconds(tick.stamp_ns - last.stamp_ns)
         return self._motion.increment(last.odometry, tick, duration_s, self._front_end.since.motion)
 
-    def _without_moving(
-        self, returns: MovingReturns, scan: Scan, increment: Odometry | None, stamp_ns: int
-    ) -> tuple[Scan, Moving]:
-        """The scan without the returns of what moves, and these.
-
-        For the map and for scan matching: features take moving legs for what they are, something that hides a wall.
-        """
-        return returns.split(scan, self.pose @ (increment or STANDSTILL).motion, stamp_ns)
-
-    def _placed(self, scan: Scan, increment: Odometry | None) -> Odometry | None:
+    def _placed(self, scan: Scan, here: Pose, increment: Odometry | None) -> Odometry | None:
         """The increment to the first scan, and the motion from there to where it fits the prior map."""
         from sixthsense.slam.relocalization import located
 
         assert self._unplaced is not None
         (prior_map, cov), self._unplaced = self._unplaced, None
-        motion = increment or STANDSTILL
-        here = self.pose @ motion.motion
         found = located(scan, prior_map, here, cov, self.config.grid)
-        return increment if found == here else motion.then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
+        if found == here:
+            return increment
+        return (increment or STANDSTILL).then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
 
     def _reported(self, estimate: Estimate) -> Estimate:
         return estimate if self._sensor is None else self._sensor.reported(estimate)
 
     def _taken(self, keyframe: Keyframe) -> Keyframe:
-        """A keyframe with its covariance as it is reported; the calibrations' newest values are used from now on."""
+        """A keyframe with its covariance as it is reported; the wheels' newest values are used from now on."""
         if not isinstance(keyframe, Keyframe):
             found = f"take: found a {type(keyframe).__name__}, allowed: a Keyframe, or None"
             raise PartError(f"front_end {self.config.front_end}", found)
         if self._sensor is not None:
-            keyframe = self._sensor.keyframe(keyframe)
+            keyframe = dataclasses.replace(keyframe, estimate=self._sensor.reported(keyframe.estimate))
         self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures
         self._motion.at_keyframe(self.wheels() if self.config.calibrate_wheels else None)
         return keyframe

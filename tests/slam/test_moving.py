@@ -33,7 +33,7 @@ def watched(places: list[Array | None], turn: float = 0.0) -> list[tuple[Scan, S
         pose = Pose(-1.0, 0.0, k * turn)
         seen = scan(pose, legs, rng)
         still, parts = moving.split(seen, pose, k * STEP_NS)
-        moving.keep(seen, pose, k * STEP_NS)
+        moving.keep(seen, pose, pose, k * STEP_NS)
         found.append((seen, still, pose @ parts.points_robot, pose @ parts.standing_robot))
     return found
 
@@ -67,7 +67,7 @@ def test_a_pose_that_jumps_makes_nothing_move() -> None:
         shown = Pose(-1.0, 0.0) if k < 15 else Pose(-1.0, 0.8)
         seen = scan(Pose(-1.0, 0.0), None, rng)
         moving.split(seen, Pose(-1.0, 0.0), k * STEP_NS)
-        moving.keep(seen, shown, k * STEP_NS)
+        moving.keep(seen, Pose(-1.0, 0.0), shown, k * STEP_NS)
     _, parts = moving.split(scan(Pose(-1.0, 0.0), None, rng), Pose(-1.0, 0.8), 20 * STEP_NS)
     assert len(parts.points_robot) == 0
 

@@ -81,7 +81,7 @@ class EKF:
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
         """Add the parameters of the wheels, or of the sensor of points, to the state."""
-        self._parameters.add(prior, self._has_begun)
+        self._parameters = self._parameters.with_prior(prior, self._has_begun)
         self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
@@ -108,7 +108,7 @@ class EKF:
         if known:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
             shift = self._correct(slots, [observations[i] for i in known])
-            self._parameters.correct(shift)
+            self._parameters = self._parameters.corrected(shift)
             self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
             observations = self._parameters.sensed(observations)
         self._augment({i: observation for i, observation in observations.items() if i not in self._slots})

@@ -6,7 +6,7 @@ A symmetric matrix is kept as its lower triangle in a column-major array.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
 import numba
@@ -25,7 +25,7 @@ from sixthsense.slam.estimators.base import check_parameters
 _NONE = slice(3, 3)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Parameters:
     """The values that are estimated, and where they are in the state."""
 
@@ -36,26 +36,24 @@ class Parameters:
     sensor: Sensor | None = None
     of_sensor: slice = field(default_factory=lambda: _NONE)
 
-    def add(self, prior: ParameterEstimate[Any], has_begun: bool) -> None:
-        """Add parameters; RuntimeError if the filter has begun or has them, ValueError for an invalid covariance."""
+    def with_prior(self, prior: ParameterEstimate[Any], has_begun: bool) -> Parameters:
+        """More parameters; RuntimeError if the filter has begun or has them, ValueError for an invalid covariance."""
         check_parameters(prior, has_begun or self.of(type(prior.values))[0] is not None)
-        at, self.end = slice(self.end, self.end + len(prior.cov)), self.end + len(prior.cov)
+        end = self.end + len(prior.cov)
         if isinstance(prior.values, Wheels):
-            self.wheels, self.of_wheels = prior.values, at
-        else:
-            self.sensor, self.of_sensor = prior.values, at
+            return replace(self, end=end, wheels=prior.values, of_wheels=slice(self.end, end))
+        return replace(self, end=end, sensor=prior.values, of_sensor=slice(self.end, end))
 
     def of(self, kind: type[P]) -> tuple[P | None, slice]:
         """The values of this kind, None if they are not estimated, and where they are in the state."""
         values, at = (self.wheels, self.of_wheels) if kind is Wheels else (self.sensor, self.of_sensor)
         return cast("P | None", values), at
 
-    def correct(self, shift: Array) -> None:
-        """Add a correction of the state, (3 + p + 2n,)."""
-        if self.wheels is not None:
-            self.wheels = Wheels.from_array(self.wheels.array() + shift[self.of_wheels])
-        if self.sensor is not None:
-            self.sensor = Sensor.from_array(self.sensor.array() + shift[self.of_sensor])
+    def corrected(self, shift: Array) -> Parameters:
+        """The values after a correction of the state, (3 + p + 2n,)."""
+        wheels = self.wheels and Wheels.from_array(self.wheels.array() + shift[self.of_wheels])
+        sensor = self.sensor and Sensor.from_array(self.sensor.array() + shift[self.of_sensor])
+        return replace(self, wheels=wheels, sensor=sensor)
 
     def sensed(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """The observations for the present parameters of the sensor, if they are estimated."""

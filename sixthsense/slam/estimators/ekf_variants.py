@@ -116,7 +116,7 @@ class AnchoredEKF(EKF):
     A turn of the whole world is unobservable if each Jacobian has the same null vector: `rotation_generator` of the
     robot's linearization point, which moves with the robot; 1; and `rotation_generator` of each landmark's anchor,
     which never moves. So the levers are anchors less that point (Huang et al. 2010, eq. 20-23). The variants choose
-    the point.
+    the point: by how much it moves towards the estimate with the robot's first motion after a correction.
 
     The filter's covariance is that of errors about these points: the effect of a heading error on a position is taken
     there. `estimate` and `joint_covariance` transport it to errors about the estimates, which have moved on since.
@@ -128,6 +128,21 @@ class AnchoredEKF(EKF):
         super().__init__(start, start_cov)
         self._point = np.zeros(2)
         """(2,) the robot's linearization point"""
+        self._shift = np.zeros(2)
+        """(2,) added to the robot's next displacement, to give that of the linearization point"""
+
+    def _shift_after(self, slots: NDArray[np.int64]) -> Array:
+        """(2,) of a correction by the landmarks in `slots`."""
+        raise NotImplementedError
+
+    def _heading_lever(self, moved: Array) -> Array:
+        lever, self._shift = moved + self._shift, np.zeros(2)
+        self._point = self._point + lever
+        return np.asarray(lever)
+
+    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
+        super()._apply_correction(slots, shift)
+        self._shift = self._shift_after(slots)
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -156,11 +171,9 @@ class AnchoredEKF(EKF):
 class FirstEstimatesEKF(AnchoredEKF):
     """The robot's linearization point is its predicted position, which later corrections do not change (ICRA 2008)."""
 
-    def _heading_lever(self, moved: Array) -> Array:
+    def _shift_after(self, slots: NDArray[np.int64]) -> Array:
         # From prediction to prediction (Huang et al. 2008, eq. 26); the standard filter starts at the corrected pose.
-        lever = self._pose.position + moved - self._point
-        self._point = self._point + lever
-        return np.asarray(lever)
+        return self._pose.position - self._point
 
 
 class ObservabilityConstrainedEKF(AnchoredEKF):
@@ -172,19 +185,7 @@ class ObservabilityConstrainedEKF(AnchoredEKF):
     update are used in place of those of the next, so that the point is known when the robot moves.
     """
 
-    def __init__(self, start: Pose, start_cov: Array) -> None:
-        super().__init__(start, start_cov)
-        self._shift = np.zeros(2)
-        """(2,) added to the robot's next displacement, to give that of the linearization point"""
-
-    def _heading_lever(self, moved: Array) -> Array:
-        lever = moved + self._shift
-        self._point = self._point + lever
-        self._shift = np.zeros(2)
-        return np.asarray(lever)
-
-    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
-        super()._apply_correction(slots, shift)
+    def _shift_after(self, slots: NDArray[np.int64]) -> Array:
         walls = self._walls[slots]
         point, anchors = self._linearization_points(slots)
         lag = self._pose.position - point
@@ -194,4 +195,4 @@ class ObservabilityConstrainedEKF(AnchoredEKF):
         # argmin of |shift|^2 + sum over points |gap - shift|^2 + sum over walls (along . (lag - shift))^2: for a wall,
         # d offset / d angle depends on the robot's position along it.
         spread = along.T @ along
-        self._shift = np.linalg.solve((1 + len(gaps)) * np.eye(2) + spread, gaps.sum(axis=0) + spread @ lag)
+        return np.linalg.solve((1 + len(gaps)) * np.eye(2) + spread, gaps.sum(axis=0) + spread @ lag)

@@ -8,7 +8,7 @@ new evidence of the wall. So is an apparent point, from the same side.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
@@ -71,7 +71,7 @@ class ISAM2:
         self._config = config
         self._links: dict[int, Link] = {}
         """between poses in the graph, by the number of its factor"""
-        self._prior = PriorFactor()
+        self._prior: PriorFactor | None = None
         self._solver = Solver(config)
         self._unsolved = Unsolved()
         self._poses = 0
@@ -102,7 +102,7 @@ class ISAM2:
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: one factor of all of them."""
         check_prior(prior, bool(self._landmarks.keys) or self._poses > 0 or self._pending is not STANDSTILL)
-        self._prior.start(prior, self._solver, self._landmarks)
+        self._prior = PriorFactor.begun(prior, self._solver, self._landmarks)
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -179,7 +179,7 @@ class ISAM2:
         factors = self._observations.factors(gone)
         if factors:
             self._remove(factors)
-        self._prior.forget(gone, self._solver, self._landmarks)
+        self._prior = self._prior and self._prior.without(gone, self._solver, self._landmarks)
         self._landmarks.drop(gone)
         if self._solution.keys:
             self._solution.update(self._last_solved)
@@ -420,64 +420,65 @@ class Observations:
         return Pose(*self._landmarks.frames[key])
 
 
+@dataclass(frozen=True, slots=True)
 class PriorFactor:
-    """The factor, its number, and what is left of the earlier landmarks."""
+    """The factor of earlier landmarks, in a graph, and what is left of them."""
 
-    def __init__(self) -> None:
-        """Begin without landmarks."""
-        self._prior: LandmarkPrior | None = None
-        self._frames: dict[LandmarkId, Array] = {}
-        """(3,) initial frame of each wall"""
-        self._number = -1
+    prior: LandmarkPrior
+    frames: Mapping[LandmarkId, Array]
+    """(3,) initial frame of each wall"""
+    number: int
+    """of the factor"""
 
-    def start(self, prior: LandmarkPrior, solver: Solver, landmarks: Landmarks) -> None:
-        """Add the landmarks to an empty solver, and to `landmarks`."""
+    @classmethod
+    def begun(cls, prior: LandmarkPrior, solver: Solver, landmarks: Landmarks) -> PriorFactor | None:
+        """Add the landmarks, if there are any, to an empty solver, and to `landmarks`."""
         if not len(prior.ids):
-            return
-        self._prior = prior
-        frames = prior_frames(prior)
-        means, axes = lines(frames)
+            return None
+        all_frames, frames = prior_frames(prior), {}
+        means, axes = lines(all_frames)
         for k, i in enumerate(prior.ids.tolist()):
             is_wall = bool(prior.walls[k])
             landmarks.next_key(i, is_wall)
             landmarks.by_tangent[i] = axes[k] if is_wall else np.eye(2)
             if is_wall:
-                self._frames[i] = frames[k]
-                landmarks.frames[landmarks.keys[i]] = frames[k].tolist()
+                frames[i] = all_frames[k]
+                landmarks.frames[landmarks.keys[i]] = all_frames[k].tolist()
         landmarks.means = np.where(prior.walls[:, None], means, prior.landmarks)
-        factor, values = self._factor(landmarks)
-        self._number = solver.update(graph_of(factor), values)[0]
+        factor, values = _factor_of(prior, frames, landmarks)
+        return cls(prior, frames, solver.update(graph_of(factor), values)[0])
 
-    def forget(self, ids: Collection[LandmarkId], solver: Solver, landmarks: Landmarks) -> None:
-        """Leave the marginal covariance of the landmarks that are not in `ids`."""
-        if self._prior is None or not np.isin(self._prior.ids, list(ids)).any():
-            return
-        self._prior, gone = self._prior.without(ids), [self._number]
-        if not len(self._prior.ids):
-            self._prior = None
-            solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
-            return
-        factor, _ = self._factor(landmarks)
-        self._number = solver.update(graph_of(factor), gtsam.Values(), gone)[0]
+    def without(self, ids: Collection[LandmarkId], solver: Solver, landmarks: Landmarks) -> PriorFactor | None:
+        """Leave the marginal covariance of the landmarks that are not in `ids`; None if none is left."""
+        if not np.isin(self.prior.ids, list(ids)).any():
+            return self
+        prior = self.prior.without(ids)
+        if not len(prior.ids):
+            solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [self.number])
+            return None
+        factor, _ = _factor_of(prior, self.frames, landmarks)
+        number = solver.update(graph_of(factor), gtsam.Values(), [self.number])[0]
+        return replace(self, prior=prior, number=number)
 
-    def _factor(self, landmarks: Landmarks) -> tuple[gtsam.NonlinearFactor, gtsam.Values]:
-        """The factor, and the earlier landmarks, about which it is quadratic.
 
-        As a quadratic form it is eliminated in a third of the time that rows for all numbers of the landmarks take.
-        """
-        assert self._prior is not None
-        values = gtsam.Values()
-        ids = self._prior.ids.tolist()
-        for i, mean in zip(ids, self._prior.landmarks, strict=True):
-            values.insert(landmarks.keys[i], gtsam.Pose2(*self._frames[i]) if i in self._frames else mean)
-        keys = [landmarks.keys[i] for i in ids]
-        blocks = prior_jacobians(self._prior, np.array([self._frames.get(i, np.zeros(3)) for i in ids]))
+def _factor_of(
+    prior: LandmarkPrior, frames: Mapping[LandmarkId, Array], landmarks: Landmarks
+) -> tuple[gtsam.NonlinearFactor, gtsam.Values]:
+    """The factor, and the earlier landmarks, about which it is quadratic.
 
-        def whitened(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-            if jacobians is not None:
-                for k, block in enumerate(blocks):
-                    jacobians[k] = block
-            return np.zeros(len(blocks[0]))  # the landmarks are at their means
+    As a quadratic form it is eliminated in a third of the time that rows for all numbers of the landmarks take.
+    """
+    values, ids = gtsam.Values(), prior.ids.tolist()
+    for i, mean in zip(ids, prior.landmarks, strict=True):
+        values.insert(landmarks.keys[i], gtsam.Pose2(*frames[i]) if i in frames else mean)
+    keys = [landmarks.keys[i] for i in ids]
+    blocks = prior_jacobians(prior, np.array([frames.get(i, np.zeros(3)) for i in ids]))
 
-        exact = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(blocks[0])), keys, whitened).linearize(values)
-        return gtsam.LinearContainerFactor(gtsam.HessianFactor(exact), values), values
+    def whitened(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        if jacobians is not None:
+            for k, block in enumerate(blocks):
+                jacobians[k] = block
+        return np.zeros(len(blocks[0]))  # the landmarks are at their means
+
+    exact = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(blocks[0])), keys, whitened).linearize(values)
+    return gtsam.LinearContainerFactor(gtsam.HessianFactor(exact), values), values

@@ -10,7 +10,7 @@ from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.slam.motion_source import LastVelocity, ScanClock
+from sixthsense.slam.motion_source import LastVelocity, scan_clock
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(no_odometry=True)
@@ -104,11 +104,11 @@ def test_the_guess_grows_with_time_and_is_least_known_at_first():
 
 
 def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():
-    clock = ScanClock()
+    period = scan_clock()
     rng = np.random.default_rng(0)
-    periods = [clock.period(stated) for stated in rng.choice([0.0, 0.4], 200)]
+    periods = [period(stated) for stated in rng.choice([0.0, 0.4], 200)]
     assert np.abs(np.array(periods[100:]) - 0.2).max() < 0.1
-    assert clock.period(3.0) == 3.0
+    assert period(3.0) == 3.0
 
 
 def test_what_a_scan_is_off_by_within_a_millisecond_is_no_velocity_of_metres_a_second():
