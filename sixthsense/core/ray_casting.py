@@ -6,6 +6,7 @@ A wall or leg is tested only against the beams of the sector in which it is seen
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numba
@@ -244,28 +245,29 @@ def cast_rays(T_world_laser: Pose, bearings: ArrayLike, walls: ArrayLike, max_ra
 
 
 def cast_among(T_world_laser: Pose, beams: Beams, walls: Array, max_range: float, legs: Array = NO_LEGS) -> Array:
-    """As `cast_rays`, with `walls` (M, 4) as `NearWalls` finds them and `legs` (L, 5), and without checks."""
+    """As `cast_rays`, with `walls` (M, 4) as `near_walls` finds them and `legs` (L, 5), and without checks."""
     laser = T_world_laser.x, T_world_laser.y, T_world_laser.theta
     return _cast_rays(laser, beams, np.ascontiguousarray(walls), legs, max_range)
 
 
-class NearWalls:
-    """The walls that a laser or a robot can reach from where it is, found again only after it has moved a while."""
+def near_walls(walls: Array, reach_m: float) -> Callable[[float, float], Array]:
+    """What finds the walls that a laser or a robot can reach from a point, anew only after it has moved a while.
 
-    def __init__(self, walls: Array, reach_m: float) -> None:
-        """Of `walls` (M, 2, 2), metres, world frame, keep those nearer than `reach_m`, in their order."""
-        self._walls = np.array(walls, dtype=np.float64).reshape(-1, 4)
-        self._reach_m = reach_m
-        self._centre = (np.inf, np.inf)
-        self._near = self._walls
+    It returns (K, 4) of `walls` (M, 2, 2), metres, world frame, in their order: all that are nearer to the point than
+    `reach_m`, and some that are farther.
+    """
+    all_walls = near = np.array(walls, dtype=np.float64).reshape(-1, 4)
+    centre = (np.inf, np.inf)
 
-    def at(self, x: float, y: float) -> Array:
-        """(K, 4) all walls nearer to a point than the reach, and some that are farther."""
-        if not math.hypot(x - self._centre[0], y - self._centre[1]) < _SLACK_M:
-            self._centre = (x, y)
-            away_m = point_segment_distance(np.array((x, y)), self._walls.reshape(-1, 2, 2))
-            self._near = self._walls[away_m <= self._reach_m + _SLACK_M]
-        return self._near
+    def at(x: float, y: float) -> Array:
+        nonlocal centre, near
+        if not math.hypot(x - centre[0], y - centre[1]) < _SLACK_M:
+            centre = (x, y)
+            away_m = point_segment_distance(np.array((x, y)), all_walls.reshape(-1, 2, 2))
+            near = all_walls[away_m <= reach_m + _SLACK_M]
+        return near
+
+    return at
 
 
 def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
-from sixthsense.core.ray_casting import Beams, NearWalls, beams_of, cast_among
+from sixthsense.core.ray_casting import Beams, beams_of, cast_among, near_walls
 from sixthsense.core.se2 import Triple
 from sixthsense.sources.walking_space import mark_distances
 
@@ -125,9 +126,9 @@ def visible_area(
 
     first = np.full((height, width), -1, dtype=np.int32)
     beams = beams_of(2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS)
-    near_walls = NearWalls(walls, laser_range)
+    near = near_walls(walls, laser_range)
     for row, col in _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m))):
-        _sweep(Pose(x[col], y[row]), beams, near_walls, laser_range, origin, cell_m, 0, first)
+        _sweep(Pose(x[col], y[row]), beams, near, laser_range, origin, cell_m, 0, first)
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
     mask = (first >= 0) & inside & (clearances >= cell_m)
     mask.flags.writeable = False
@@ -152,14 +153,14 @@ def coverage(
         return np.full(len(poses), math.nan)
     first = np.full(area.mask.shape, -1, dtype=np.int32)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
-    beams, near_walls, last = beams_of(bearings), NearWalls(walls, max_range), None
+    beams, near, last = beams_of(bearings), near_walls(walls, max_range), None
     for k, pose in enumerate(map(Pose.from_array, poses)):
         if last is not None:
             moved, turned = math.hypot(pose.x - last.x, pose.y - last.y), abs((last.inverse() @ pose).theta)
             if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
                 continue
         last, T_world_laser = pose, pose @ Pose(*mount)
-        _sweep(T_world_laser, beams, near_walls, max_range, np.array(area.origin), area.cell_m, k, first)
+        _sweep(T_world_laser, beams, near, max_range, np.array(area.origin), area.cell_m, k, first)
     known = first[area.mask]
     return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(poses))) / len(known))
 
@@ -187,7 +188,7 @@ def _mark_distances(walls: Array, origin: Array, cell_m: float, disc: float, cle
 def _sweep(
     T_world_laser: Pose,
     beams: Beams,
-    walls: NearWalls,
+    near: Callable[[float, float], Array],
     max_range: float,
     origin: Array,
     cell_m: float,
@@ -195,8 +196,8 @@ def _sweep(
     first: Scans,
 ) -> None:
     """Mark the cells on the beams of a laser in `first`."""
-    near = walls.at(T_world_laser.x, T_world_laser.y)
-    lengths = np.minimum(cast_among(T_world_laser, beams, near, max_range), max_range) / cell_m
+    walls = near(T_world_laser.x, T_world_laser.y)
+    lengths = np.minimum(cast_among(T_world_laser, beams, walls, max_range), max_range) / cell_m
     x, y = ((T_world_laser.position - origin) / cell_m).tolist()
     _mark((x, y, T_world_laser.theta), beams, lengths, scan, first)
 

@@ -17,7 +17,7 @@ from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
 from sixthsense.core.motion import draw
 from sixthsense.core.odometry_kernels import Slip, slipped
-from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, beams_of, cast_among, cast_sweep
+from sixthsense.core.ray_casting import NO_LEGS, Moving, beams_of, cast_among, cast_sweep, near_walls
 from sixthsense.core.se2 import Triple, compose, composed, wrapped
 from sixthsense.core.source import Command, Tick
 from sixthsense.sources.walkers import Walkers
@@ -186,8 +186,8 @@ class World:
         solid = walls if glass is None else np.concatenate([walls, glass])
         # Twice the top speed: noise makes the robot faster than its wheels say.
         between_scans_m = 2.0 * robot.speed * laser.period_ticks * robot.control_period_s
-        self._visible = NearWalls(walls, laser.max_range + _MOVED_M + 2.0 * robot.speed * laser.sweep_s)
-        self._solid = NearWalls(solid, self.drive.radius_m + _MOVED_M + between_scans_m)
+        self._visible = near_walls(walls, laser.max_range + _MOVED_M + 2.0 * robot.speed * laser.sweep_s)
+        self._solid = near_walls(solid, self.drive.radius_m + _MOVED_M + between_scans_m)
 
     def step(self, command: Command) -> Tick | None:
         """Drive for one control tick with `command`, clipped to the robot's limits; None after a collision.
@@ -218,7 +218,7 @@ class World:
             (float(command.speed), float(command.turn_rate)),
             self._noise()[0],
             self.drive,
-            self._solid.at(truth.x, truth.y),
+            self._solid(truth.x, truth.y),
         )
         self._draws = self._draws[1:]
         self._truth, self._odometry = Pose(*found), Pose(*by_wheels)
@@ -240,7 +240,7 @@ class World:
         laser, noise = self._config.laser, self._config.world.laser
         T_world_laser = self._truth @ Pose(*laser.mount)
         bearings = self._bearings + draw(self._rng, noise.distribution, noise.bearing_rad, laser.beams)
-        walls = self._visible.at(T_world_laser.x, T_world_laser.y)
+        walls = self._visible(T_world_laser.x, T_world_laser.y)
         legs = NO_LEGS if self._walkers is None else self._walkers.legs()
         if laser.sweep_s == 0.0:
             beams = self._beams if noise.bearing_rad == 0.0 else beams_of(bearings)

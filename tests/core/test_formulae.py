@@ -20,7 +20,7 @@ from sixthsense.core.landmarks import (
 from sixthsense.core.laser import Scan, sweep_ns, sweep_times
 from sixthsense.core.motion import Odometry, odometry
 from sixthsense.core.odometry_kernels import Slip
-from sixthsense.core.ray_casting import NearWalls, cast_rays, cast_sweep
+from sixthsense.core.ray_casting import cast_rays, cast_sweep, near_walls
 from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.core.wheels import wheel_prior
 
@@ -128,10 +128,10 @@ def test_a_beam_of_a_sweep_is_cast_from_where_the_laser_is_then():
         cast_rays(Pose(*pose), [bearing], walls, 4.0)[0] for pose, bearing in zip(poses, bearings, strict=True)
     ]
     assert cast_sweep(poses, bearings, walls, 4.0) == pytest.approx(np.array(one_by_one), abs=1e-9)
-    near = NearWalls(walls, 3.0)
+    near = near_walls(walls, 3.0)
     for x, y, _ in poses:
         from_end = np.hypot(walls[..., 0] - x, walls[..., 1] - y).min(axis=1) < 3.0
-        assert {tuple(wall) for wall in walls[from_end].reshape(-1, 4)} <= {tuple(wall) for wall in near.at(x, y)}
+        assert {tuple(wall) for wall in walls[from_end].reshape(-1, 4)} <= {tuple(wall) for wall in near(x, y)}
 
 
 def test_beams_have_their_times_before_the_latest_and_their_points_in_the_frame_of_the_robot():
