@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from sixthsense.cli.common import (
     Common,
@@ -22,7 +22,8 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.parts import OF_THE_ROBOT
 
 if TYPE_CHECKING:
-    from sixthsense.running.truth import Truth
+    from sixthsense.auditing.result import Audit
+    from sixthsense.figures.run import Run as FinishedRun
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,8 @@ class Replay(WithPriorMap):
             )
         check_out(options.log, options.out)
         from sixthsense.running.runs import RunHooks, replay_log
-        from sixthsense.running.truth import audit_of_run
 
-        truth = options.opened_truth()
+        options.check_truth()
         prior = options.prior_start()
         found = open_recorded(options.log, options.settings, options.relations, chosen)
         for note in found.notes:
@@ -113,22 +113,40 @@ class Replay(WithPriorMap):
         stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
         with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
             run = replay_log(found, folder, RunHooks(hooks, say=announce), prior)
-            if truth is not None:
-                print(f"{audit_of_run(run, truth)}\n")
+            if options.truth is not None:
+                print(f"{options.audit(run)}\n")
             return show_end(run, options)
 
-    def opened_truth(self) -> Truth | None:
-        """The truth to audit the run by, read already: what is wrong with it is told before the replay."""
-        from sixthsense.running.truth import Truth
-
+    def check_truth(self) -> None:
+        """Read the truth that the run is audited by: what is wrong with it is told before the replay."""
         if self.truth is None:
             for name in ("truth_topic", "truth_frames", "truth_offset"):
                 if getattr(self, name):
                     raise InputError(name, "found without `truth`", "with it")
-            return None
-        truth = Truth(self.truth, self.truth_topic, self.truth_frames, self.truth_offset)
-        truth.check()
-        return truth
+            return
+        import numpy as np
+
+        from sixthsense.auditing.opening import Options, open_truth
+        from sixthsense.auditing.poses import Poses
+
+        run = Poses("the run", np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+        open_truth(self.truth, run, run.name, Options(**self._of_truth()))
+
+    def audit(self, run: FinishedRun) -> Audit:
+        """The audit of a run's keyframes by the truth, aligned by all poses; it is kept in the run's folder."""
+        from sixthsense.auditing.call import audit
+
+        found = audit(run, self.truth, align="all", **self._of_truth())
+        if run.folder is not None:
+            found.save(run.folder / "audit.json")
+            found.plot().savefig(run.folder / "figures" / "audit.png", dpi=150)
+        return found
+
+    def _of_truth(self) -> dict[str, Any]:
+        """The options of the audit."""
+        return {
+            "truth_topic": self.truth_topic, "truth_frames": self.truth_frames, "time_offset": self.truth_offset
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)

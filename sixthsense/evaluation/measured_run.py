@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -52,7 +53,7 @@ class MeasuredRun:
         """the run's folder; None for a run in memory only"""
         self.missing = tuple(missing)
         """missing parts of the folder's record, each with its file; `ss.replay(folder)` estimates them again"""
-        self._metrics = metrics
+        self._stated = metrics
 
     @property
     def metrics(self) -> Metrics:
@@ -61,10 +62,13 @@ class MeasuredRun:
         The dictionary is displayed as a table; `metrics.frame()` converts it to pandas. The metrics are computed once,
         or read from the run's folder.
         """
-        measured = measure(self.trace) if self._metrics is None else self._metrics
-        if self.trace.outcome:
-            self._metrics = measured
-        return Metrics(measured)
+        if self._stated is not None:
+            return Metrics(self._stated)
+        return Metrics(self._measured if self.trace.outcome else measure(self.trace))
+
+    @functools.cached_property
+    def _measured(self) -> Metrics:
+        return measure(self.trace)
 
     @property
     def verdict(self) -> Verdict | None:
@@ -96,7 +100,7 @@ class MeasuredRun:
     @property
     def outcome(self) -> str:
         """Why the run ended; "running" if that is unknown."""
-        stated = None if self._metrics is None else self._metrics.get("outcome")
+        stated = None if self._stated is None else self._stated.get("outcome")
         return str(stated or self.trace.outcome) or "running"
 
     def __repr__(self) -> str:

@@ -161,7 +161,7 @@ class Session:
         guard = Guard(config, radius_m)
         trace = Trace(config, None, radius_m, name="live")
         with contextlib.ExitStack() as stack:
-            pilot = Pilot(_listening(), guard)
+            pilot = Pilot(Navigator(timeout_outcome="time is up"), guard)
             steering = None
             if drive:
                 believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
@@ -327,10 +327,6 @@ def check_drive(config: Config) -> None:
 def _by_user(outcome: str) -> str:
     """The outcome of a run that the loop calls interrupted."""
     return ENDED_BY_USER if outcome == "interrupted" and is_ended_by_ctrl_c() else outcome
-
-
-def _listening() -> Navigator:
-    return Navigator(timeout_outcome="time is up")
 
 
 def _navigator(config: Config, start: Pose, radius_m: float) -> Navigator:

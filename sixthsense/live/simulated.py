@@ -15,7 +15,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.network import Endpoint, Network, Node
+from sixthsense.live.network import Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.record.exports import tum_line
@@ -166,10 +166,6 @@ def check_alone(node: Node, published: tuple[Topic, ...], subscribed: tuple[Topi
     """
     for topics, ends, what in ((published, node.publishers, "publisher"), (subscribed, node.subscribers, "subscriber")):
         for topic in topics:
-            if any(_counts(end, before) for end in ends(topic.name)):
+            if any(not before or end.participant < before for end in ends(topic.name)):
                 found = f"found another {what}"
                 raise InputError(topic.name, found, "one robot or simulator in a network; `domain` N is another one")
-
-
-def _counts(end: Endpoint, before: str) -> bool:
-    return not before or end.participant < before

@@ -14,7 +14,7 @@ import hashlib
 import json
 import math
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -64,45 +64,43 @@ class RecordPart(enum.Enum):
     GRID = f"the grid map ({END_FILE})"
 
 
-class RecordWriter:
-    """Writes `FOLDER/record.jsonl`: call `flush` while the run goes on, and leave its `with` block at the end.
+@contextlib.contextmanager
+def record_writer(folder: Path) -> Iterator[Callable[[Trace], None]]:
+    """Begin `FOLDER/record.jsonl`: what it gives writes all that a trace has gained since the last call.
 
-    A killed run loses what its trace has gained since the last call. Raises OSError, naming the file, when it cannot be
-    written.
+    The block's end writes the rest; after an OSError what was written stays as it is. A killed run loses what its trace
+    has gained since the last call. Raises OSError, naming the file, when it cannot be written.
     """
+    file, latest = folder / FILE, None
+    written = dict.fromkeys(_TABLES, 0)
+    stream = file.open("w", encoding="utf-8")
 
-    def __init__(self, folder: Path) -> None:
-        """Begin a record in the run's `folder`."""
-        self._file = folder / FILE
-        self._stream = self._file.open("w", encoding="utf-8")
-        self._trace: Trace | None = None
-        self._written = dict.fromkeys(_TABLES, 0)
-
-    def __enter__(self) -> RecordWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest and close the file; after an OSError what was written stays as it is."""
-        try:
-            if self._trace is not None and (kind is None or not issubclass(kind, OSError)):
-                self.flush(self._trace)
-        finally:
-            with contextlib.suppress(OSError):
-                self._stream.close()
-
-    def flush(self, trace: Trace) -> None:
-        """Write every keyframe, plan and scan of the trace that has not been written yet."""
+    def flush(trace: Trace) -> None:
+        nonlocal latest
         lines: list[Line] = []
-        if self._trace is None:
+        if latest is None:
             lines = [{"format": FORMAT, "radius_m": trace.radius_m, "scene": scene_table(trace.scene)}]
-        self._trace = trace
+        latest = trace
         for name, fields in _TABLES.items():
             count = len(fields[0].of(trace))
-            lines += [row_of(fields, trace, k) for k in range(self._written[name], count)]
-            self._written[name] = count
-        with naming(self._file):
-            self._stream.write("".join(f"{_to_json(line)}\n" for line in lines))
-            self._stream.flush()
+            lines += [row_of(fields, trace, k) for k in range(written[name], count)]
+            written[name] = count
+        with naming(file):
+            stream.write("".join(f"{_to_json(line)}\n" for line in lines))
+            stream.flush()
+
+    try:
+        yield flush
+    except OSError:
+        latest = None
+        raise
+    finally:
+        try:
+            if latest is not None:
+                flush(latest)
+        finally:
+            with contextlib.suppress(OSError):
+                stream.close()
 
 
 _to_json = json.JSONEncoder(separators=(",", ":")).encode
@@ -114,8 +112,8 @@ def write_end(folder: Path, trace: Trace) -> None:
     One array at a time is in memory, in the form of `numpy.savez_compressed`.
     """
     if not (folder / FILE).exists():
-        with RecordWriter(folder) as writer:
-            writer.flush(trace)
+        with record_writer(folder) as flush:
+            flush(trace)
     # Of a large map level 1 takes a third of the time of the usual one, and a fifth more room.
     with whole(folder / END_FILE) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as out:
         for field in END:

@@ -59,7 +59,7 @@ class Stopwatch:
         """milliseconds that no stage counts"""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """Add the time within to a stage."""
+        """Add the time from now to the end of the `with` block to a stage."""
         return _Stage(self, name)
 
     def measured(self, name: str, began: float, waited: float) -> None:
@@ -98,9 +98,10 @@ class _Stage:
 
     def __init__(self, watch: Stopwatch, name: str) -> None:
         self._watch, self._name = watch, name
+        self._began, self._waited = time.perf_counter(), watch.waited
 
     def __enter__(self) -> None:
-        self._began, self._waited = time.perf_counter(), self._watch.waited
+        pass
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from sixthsense.core.source import Tick
+    from sixthsense.loop.run import OnTick
     from sixthsense.record.trace import Trace
 
 _BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far, {remaining} left"
@@ -31,69 +33,63 @@ def is_interactive() -> bool:
     return in_notebook() or sys.stderr.isatty()
 
 
-class Progress:
-    """A hook of the loop that shows the elapsed part of a run's time, and a status of the run if asked for.
+class Bar(NamedTuple):
+    """What moves a bar, and what writes beside it."""
 
-    With `realtime` it also slows the source down to real time.
+    advance: OnTick
+    """a hook of the loop that shows the elapsed part of a run's time"""
+    say: Callable[[str], object]
+    """shows a text beside the bar"""
+
+
+@contextlib.contextmanager
+def progress(
+    label: str,
+    total_s: float | None,
+    realtime: bool = False,
+    shown: bool | None = None,
+    status: Callable[[Trace], str] | None = None,
+) -> Iterator[Bar]:
+    """A bar for `total_s` seconds of the source, or without an end for None.
+
+    `shown` is by default whether the output is interactive. With `realtime` it also slows the source down to real time.
+    `status` is shown beside the bar, anew every second. One that reads the map is for runs that read it at every
+    keyframe anyway: in a replay it would be drawn for the bar alone.
     """
+    bar_format, period_s = _ENDLESS_FORMAT if total_s is None else _BAR_FORMAT, 0.1 if status is None else 1.0
+    bar = progress_bar(
+        shown, total=total_s, desc=label, leave=False, bar_format=bar_format, mininterval=period_s, miniters=0
+    )
+    first_ns: int | None = None
+    start_s = 0.0
 
-    def __init__(
-        self,
-        label: str,
-        total_s: float | None,
-        realtime: bool = False,
-        shown: bool | None = None,
-        status: Callable[[Trace], str] | None = None,
-    ) -> None:
-        """Make a bar for `total_s` seconds of the source, or without an end for None.
-
-        `shown` is by default whether the output is interactive.
-        `status` is shown beside the bar, anew every second. One that reads the map is for runs that read it at every
-        keyframe anyway: in a replay it would be drawn for the bar alone.
-        """
-        self._status = status
-        self._label = label
-        self._total_s = total_s
-        self._realtime = realtime
-        self._shown = shown
-        self._first_ns: int | None = None
-        self._shown_s = 0.0
-        self._start = 0.0
-        self._status_updated = 0.0
-
-    def __enter__(self) -> Progress:
-        bar_format = _ENDLESS_FORMAT if self._total_s is None else _BAR_FORMAT
-        self._bar = progress_bar(self._shown, total=self._total_s, desc=self._label, leave=False, bar_format=bar_format)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._draw(self._bar.close)
-
-    def say(self, text: str) -> None:
-        """Show a text beside the bar."""
-        self._draw(lambda: self._bar.set_description_str(f"{self._label}: {text}" if text else self._label))
-
-    def _draw(self, draw: Callable[[], object]) -> None:
+    def draw(change: Callable[[], object]) -> None:
         """Draw on the terminal; one that has been closed ends the bar and not the run."""
         try:
-            draw()
+            change()
         except OSError:
-            self._bar.disable = True
+            bar.disable = True
 
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Advance the bar to a tick's stamp."""
-        now, stamp_ns = time.monotonic(), tick.stamp_ns
-        if self._first_ns is None:
-            self._first_ns, self._start = stamp_ns, now
-        now_s = 1e-9 * (stamp_ns - self._first_ns)
-        if now_s - self._shown_s >= 0.1:
-            if not self._bar.disable and self._status is not None and now - self._status_updated >= 1.0:
-                self._status_updated = now
-                self._bar.set_postfix_str(self._status(trace), refresh=False)
-            self._draw(lambda: self._bar.update(now_s - self._shown_s))
-            self._shown_s = now_s
-        if self._realtime:
-            time.sleep(max(0.0, self._start + now_s - time.monotonic()))
+    def move(now_s: float, trace: Trace) -> None:
+        if bar.update(now_s - bar.n) and status is not None:
+            bar.set_postfix_str(status(trace))
+
+    def advance(tick: Tick, trace: Trace) -> None:
+        nonlocal first_ns, start_s
+        if first_ns is None:
+            first_ns, start_s = tick.stamp_ns, time.monotonic()
+        now_s = 1e-9 * (tick.stamp_ns - first_ns)
+        draw(lambda: move(now_s, trace))
+        if realtime:
+            time.sleep(max(0.0, start_s + now_s - time.monotonic()))
+
+    def say(text: str) -> None:
+        draw(lambda: bar.set_description_str(f"{label}: {text}" if text else label))
+
+    try:
+        yield Bar(advance, say)
+    finally:
+        draw(bar.close)
 
 
 def seen_area(trace: Trace) -> str:

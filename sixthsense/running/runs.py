@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from sixthsense.config import Config
 from sixthsense.config.files import path_of
 from sixthsense.core.interrupt import deferred_interrupt
-from sixthsense.running.progress import Progress, live_status, seen_area
+from sixthsense.running.progress import Bar, live_status, progress, seen_area
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -87,7 +87,7 @@ def simulate(
     if not isinstance(task, Mission):
         config, task = mission_of(config, task)
     name = task.scene.name
-    bar = Progress(f"{name}, {config.task}", config.max_time, watch.realtime, watch.progress, seen_area)
+    bar = progress(f"{name}, {config.task}", config.max_time, watch.realtime, watch.progress, seen_area)
     return _watched(lambda hook: loop.run(config, hook, task, prior), name, config, bar, folder, watch)
 
 
@@ -101,7 +101,7 @@ def replay_log(
     from sixthsense.loop import run as loop
 
     log, config, relations = recorded.log, recorded.config, recorded.relations
-    bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
+    bar = progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
     go = functools.partial(loop.replay, log, config, relations, prior=prior)
     return _watched(go, recorded.name, config, bar, folder, watch, of_log=True)
 
@@ -109,7 +109,7 @@ def replay_log(
 def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: RunHooks, prior: PriorStart | None) -> Run:
     """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
     status = live_status(session.notices.dropped, session.seen_m2)
-    bar = Progress("live", session.config.max_time, shown=watch.progress, status=status)
+    bar = progress("live", session.config.max_time, shown=watch.progress, status=status)
     return _watched(
         lambda hook: session.run(drive, hook, prior), "live", session.config, bar, folder, watch, of_log=not drive
     )
@@ -119,7 +119,7 @@ def _watched(
     go: Callable[[OnTick], Trace],
     name: str,
     config: Config,
-    bar: Progress,
+    bar: AbstractContextManager[Bar],
     folder: RunFolder | None,
     watch: RunHooks,
     of_log: bool = False,
@@ -131,17 +131,17 @@ def _watched(
     if watch.say is not None:
         prepare(watch.say, config, of_log)
     with ExitStack() as open_hooks:
-        open_hooks.enter_context(bar)
+        advance, say = open_hooks.enter_context(bar)
         if watch.say is None:
-            prepare(bar.say, config, of_log)
-            bar.say("")
-        hooks: list[OnTick] = [bar, *watch.hooks]
+            prepare(say, config, of_log)
+            say("")
+        hooks: list[OnTick] = [advance, *watch.hooks]
         if folder is not None:
             from sixthsense.record.bag import BagWriter
-            from sixthsense.record.store import RecordWriter
+            from sixthsense.record.store import record_writer
 
-            record = open_hooks.enter_context(RecordWriter(folder.partial))
-            bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
+            flush = open_hooks.enter_context(record_writer(folder.partial))
+            bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=flush))
             hooks = [bag, *hooks]
         trace = go(loop.combined_hooks(*hooks))
         if watch.at_end is not None:

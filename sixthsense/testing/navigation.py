@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,27 +126,33 @@ def an_end_that_is_no_point_raises_a_value_error(part: Any, bad: tuple[float, ..
             planner.plan(space, start, goal)
 
 
+class _Choice(NamedTuple):
+    """A target that an explorer has chosen."""
+
+    target: Target | None
+    fault: str
+    """what is wrong with it"""
+    has_changed_its_view: bool
+
+
 class _Watched:
-    """An explorer, and what it has chosen from which view."""
+    """An explorer whose choices are kept."""
 
     def __init__(self, explorer: Explorer) -> None:
         self._explorer = explorer
-        self.choices: list[tuple[Target | None, str]] = []
-        """each with what is wrong with it"""
-        self.has_changed_its_view = self.has_ended = False
+        self.choices: list[_Choice] = []
 
     def next_target(self, view: ExplorationView) -> Target | None:
         masks = view.free, view.unseen, view.reachable
         before = [mask.copy() for mask in masks]
         target = self._explorer.next_target(view)
-        self.has_changed_its_view |= not all(map(np.array_equal, before, masks))
-        fault = target_fault(view, target)
-        self.choices.append((target, fault))
-        return None if fault else target
+        has_changed = not all(map(np.array_equal, before, masks))
+        self.choices.append(_Choice(target, target_fault(view, target), has_changed))
+        return None if self.choices[-1].fault else target
 
 
-def _explored(part: Any) -> _Watched:
-    """The choices of an explorer, while a robot that jumps from view to view explores two rooms."""
+def _explored(part: Any) -> tuple[list[_Choice], bool]:
+    """The choices of an explorer while a robot explores two rooms, jumping from view to view; and whether it ended."""
     config, pose = preset(), Pose(1.1, 0.9, 0.3)
     x0, y0, x1, y1 = _ROOMS
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
@@ -166,8 +172,7 @@ def _explored(part: Any) -> _Watched:
     for _ in range(_MOST_CHOICES):
         exploration.look(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
         if exploration.state != "viewing" or exploration.outcome is not None:
-            watched.has_ended = True
-            break
+            return watched.choices, True
         x, y = exploration.driver.goal.tolist()
         pose = Pose(x, y, 0.3)
         see()
@@ -176,31 +181,31 @@ def _explored(part: Any) -> _Watched:
         for event in _EVENTS:  # of a target that cannot be seen from there
             if len(watched.choices) == chosen and exploration.outcome is None:
                 exploration.handle(event, pose)
-    return watched
+    return watched.choices, False
 
 
 @EXPLORER_LAWS.law
 def every_target_is_of_unseen_cells_and_seen_from_where_the_robot_can_drive(part: Any) -> None:
-    for _, fault in _explored(part).choices:
-        assert not fault, fault
+    for choice in _explored(part)[0]:
+        assert not choice.fault, choice.fault
 
 
 @EXPLORER_LAWS.law
 def the_exploration_ends(part: Any) -> None:
-    watched = _explored(part)
-    assert watched.has_ended, f"found {len(watched.choices)} targets and no end, allowed: None when nothing is left"
+    choices, has_ended = _explored(part)
+    assert has_ended, f"found {len(choices)} targets and no end, allowed: None when nothing is left"
 
 
 @EXPLORER_LAWS.law
 def the_other_room_is_looked_at(part: Any) -> None:
-    assert any(target is not None for target, _ in _explored(part).choices), "found no target, allowed: some"
+    assert any(choice.target is not None for choice in _explored(part)[0]), "found no target, allowed: some"
 
 
 @EXPLORER_LAWS.law
 def the_same_map_and_generator_give_the_same_targets(part: Any) -> None:
-    one, other = (_explored(part).choices for _ in range(2))
+    one, other = ([choice.target for choice in _explored(part)[0]] for _ in range(2))
     assert len(one) == len(other)
-    for (first, _), (second, _) in zip(one, other, strict=True):
+    for first, second in zip(one, other, strict=True):
         assert (first is None) == (second is None), "found a target and None"
         if first is not None and second is not None:
             assert np.array_equal(first.cells, second.cells)
@@ -209,4 +214,5 @@ def the_same_map_and_generator_give_the_same_targets(part: Any) -> None:
 
 @EXPLORER_LAWS.law
 def the_view_stays_as_it_is(part: Any) -> None:
-    assert not _explored(part).has_changed_its_view, "found masks of the view that were written to"
+    changed = [choice for choice in _explored(part)[0] if choice.has_changed_its_view]
+    assert not changed, "found masks of the view that were written to"

@@ -12,7 +12,7 @@ import sixthsense as ss
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.run import Run
-from sixthsense.record.store import END_FILE, FILE, RecordWriter
+from sixthsense.record.store import END_FILE, FILE, record_writer
 from sixthsense.record.trace import Stopwatch
 
 
@@ -77,11 +77,11 @@ def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_l
     def scans() -> int:
         return sum(line.startswith(b'{"scan"') for line in (tmp_path / FILE).read_bytes().splitlines())
 
-    with RecordWriter(tmp_path) as writer:
+    with record_writer(tmp_path) as flush:
 
         def watch(tick, trace):
             if tick.stamp_ns < 1_000_000_000:
-                writer.flush(trace)
+                flush(trace)
                 assert scans() == len(trace.stamps_ns)
 
         trace = run(ss.preset(scene="rectangle", task="tour", max_time=2.0), watch)

@@ -13,7 +13,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import rotation
 from sixthsense.loop.run import combined_hooks
 from sixthsense.record.trace import Trace
-from sixthsense.running.progress import Progress, live_status, seen_area
+from sixthsense.running.progress import live_status, progress, seen_area
 
 
 def a_live_trace(scans: int) -> Trace:
@@ -45,22 +45,24 @@ def at(seconds: float) -> SimpleNamespace:
 
 
 def test_nothing_is_written_where_no_terminal_is():
-    with redirect_stderr(io.StringIO()) as err, Progress("a log", 10.0) as bar:
-        bar(at(0.0), Trace(preset(), None, 0.2))
-        bar(at(5.0), Trace(preset(), None, 0.2))
+    with redirect_stderr(io.StringIO()) as err, progress("a log", 10.0) as bar:
+        bar.advance(at(0.0), Trace(preset(), None, 0.2))
+        bar.advance(at(5.0), Trace(preset(), None, 0.2))
     assert err.getvalue() == ""
 
 
-class Bar:
-    """What a bar is told."""
+class Shown:
+    """What a bar is told; each second move of it is drawn."""
 
     def __init__(self, shown: bool | None, **options: Any) -> None:
-        self.options, self.disable, self.seconds, self.texts = options, False, [], []
+        self.options, self.disable, self.n, self.seconds, self.texts = options, False, 0.0, [], []
 
-    def update(self, seconds: float) -> None:
+    def update(self, seconds: float) -> bool:
+        self.n += seconds
         self.seconds.append(seconds)
+        return len(self.seconds) % 2 == 0
 
-    def set_postfix_str(self, text: str, refresh: bool) -> None:
+    def set_postfix_str(self, text: str) -> None:
         self.texts.append(text)
 
     def set_description_str(self, text: str) -> None:
@@ -70,24 +72,29 @@ class Bar:
         raise OSError("the terminal has been closed")
 
 
-def test_a_bar_advances_by_the_time_of_the_source_and_asks_for_the_status_once_a_second(monkeypatch):
-    now_s, slept = [100.0], []
+def test_a_bar_advances_by_the_time_of_the_source_and_asks_for_the_status_where_it_is_drawn(monkeypatch):
+    now_s, slept, made = [100.0], [], []
     monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
     monkeypatch.setattr(time, "sleep", slept.append)
-    monkeypatch.setattr("sixthsense.running.progress.progress_bar", Bar)
+
+    def bar_of(shown: bool | None, **options: Any) -> Shown:
+        made.append(Shown(shown, **options))
+        return made[0]
+
+    monkeypatch.setattr("sixthsense.running.progress.progress_bar", bar_of)
     trace = Trace(preset(), None, 0.2)
-    with Progress("hall", 10.0, realtime=True, status=lambda trace: f"at {now_s[0]:g}") as progress:
-        bar = progress._bar
-        progress.say("compiling")
-        progress.say("")
-        progress(at(3.0), trace)
+    with progress("hall", 10.0, realtime=True, status=lambda trace: f"at {now_s[0]:g}") as (advance, say):
+        say("compiling")
+        say("")
+        advance(at(3.0), trace)
         for source_s, wall_s in ((3.05, 100.1), (3.15, 100.2), (4.0, 100.6), (5.0, 101.7)):
             now_s[0] = wall_s
-            progress(at(source_s), trace)
-        progress(at(5.6), trace)
-    assert (bar.options["total"], bar.options["desc"], bar.disable) == (10.0, "hall", True)
-    assert bar.seconds == pytest.approx([0.15, 0.85, 1.0, 0.6])
-    assert bar.texts == ["hall: compiling", "hall", "at 100.2", "at 101.7"]
+            advance(at(source_s), trace)
+        advance(at(5.6), trace)
+    (bar,) = made
+    assert (bar.options["total"], bar.options["desc"], bar.options["mininterval"]) == (10.0, "hall", 1.0)
+    assert bar.seconds == pytest.approx([0.0, 0.05, 0.1, 0.85, 1.0, 0.6]) and bar.disable
+    assert bar.texts == ["hall: compiling", "hall", "at 100.1", "at 100.6", "at 101.7"]
     assert slept == pytest.approx([0.0, 0.0, 0.0, 0.4, 0.3, 0.9])
 
 
