@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import numbers
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from sixthsense.campaigns.cluster import Cluster, check_workers, connect
-from sixthsense.campaigns.engine import Executor, Processes, carry_out
+from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, check_rows, read_folder, save_folder
 from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
 from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed, run_planned
@@ -71,7 +71,7 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
             return
         if not is_compiled():
             execution.say(COMPILING)
-        with _executor(execution) as executor:
+        with Processes(execution.workers) if execution.scheduler is None else connect(execution.scheduler) as executor:
             dashboard = ""
             if isinstance(executor, Cluster):
                 check_workers(executor.client, campaign)
@@ -86,11 +86,6 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
                 for key, future in carry_out(executor, partial(run_planned, version=__version__), missing):
                     rows.add(_row(future, missing[key].config))
                     bar.update()
-
-
-def _executor(execution: Execution) -> AbstractContextManager[Executor]:
-    """What makes the runs."""
-    return Processes(execution.workers) if execution.scheduler is None else connect(execution.scheduler)
 
 
 def _row(future: Future[dict[str, Any]], config: Config) -> dict[str, Any]:
@@ -211,7 +206,6 @@ class Campaign(RunTable):
         self._fields = read_folder(self.folder)["fields"]
         import_extra("pandas")
         self._rows = CampaignRows(self.folder)
-        self._settings: dict[tuple[str, ...], Config] = {}
 
     def frame(self) -> pd.DataFrame:
         """A row per run, sorted: scene, preset, the parts, seed, and a column per metric.
@@ -224,10 +218,10 @@ class Campaign(RunTable):
 
     def samples(self, name: str) -> list[Sample]:
         """The runs for a comparison, with their errors along their ways."""
-        frame, curves = self.frame(), self._rows.curves()
+        frame, curves, setting = self.frame(), self._rows.curves(), functools.cache(self._setting)
         found = []
         for row in frame.to_dict("records"):
-            config = merge(self._setting(tuple(row[axis] for axis in AXES)), {"seed": row["seed"]})
+            config = merge(setting(tuple(row[axis] for axis in AXES)), {"seed": row["seed"]})
             metrics = {key: value for key, value in row.items() if key not in LABELS and value == value}
             found.append(Sample(name, config, partial(dict, metrics), partial(curves.get, row["config_hash"])))
         return found
@@ -241,12 +235,10 @@ class Campaign(RunTable):
 
     def _setting(self, axes: tuple[str, ...]) -> Config:
         """The configuration of the runs with these values of `AXES`, with seed 0."""
-        if axes not in self._settings:
-            values = dict(zip(AXES, axes, strict=True))
-            base = merge(preset(values.pop("preset")), self._fields)
-            options = {f"{parts.kind}_options": self._fields.get(f"{parts.kind}_options", {}) for parts in KINDS}
-            self._settings[axes] = merge(base, {**values, **options})
-        return self._settings[axes]
+        values = dict(zip(AXES, axes, strict=True))
+        base = merge(preset(values.pop("preset")), self._fields)
+        options = {f"{parts.kind}_options": self._fields.get(f"{parts.kind}_options", {}) for parts in KINDS}
+        return merge(base, {**values, **options})
 
     def __len__(self) -> int:
         return len(self._rows.rows.read())

@@ -17,8 +17,8 @@ from sixthsense.evaluation.groups import MOST_GROUPS, Group, Sample, differing, 
 from sixthsense.evaluation.results import QUANTITIES
 from sixthsense.evaluation.tables import digits
 from sixthsense.figures.panels import group_figure
-from sixthsense.figures.plot import save
-from sixthsense.figures.report import Form, contents, document, escaped, figure_block, flat_texts, metrics_rows, table
+from sixthsense.figures.plot import Form, save_forms
+from sixthsense.figures.report import contents, document, escaped, figure_block, flat_texts, metrics_rows, table
 
 _FIGURES = {
     "error": "Errors of position and heading over time: median of the runs of a group, and the band of 10 to 90 %.",
@@ -87,11 +87,7 @@ def _draw(
         except InputError:
             continue
         file = out / f"{name}{suffix}.png"
-        save(picture, file)
-        vectors = [] if form == "png" else [file.with_suffix(f".{form}")]
-        for one in vectors:
-            save(picture, one)
-        yield file, vectors, name
+        yield file, save_forms(picture, file, form), name
 
 
 def _metrics(groups: Sequence[Group]) -> str:

@@ -13,7 +13,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked
 
 if TYPE_CHECKING:
-    from sixthsense.figures.report import Form
+    from sixthsense.figures.plot import Form
     from sixthsense.figures.run import Run
     from sixthsense.slam.prior_map import PriorStart
 
@@ -65,7 +65,8 @@ class Report(Options):
             raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
         from sixthsense.evaluation.measured_run import check_folders
         from sixthsense.figures.animation import check_film, film_prior
-        from sixthsense.figures.report import Form, compact, report
+        from sixthsense.figures.plot import Form
+        from sixthsense.figures.report import compact, report
         from sixthsense.figures.run import load
 
         form: Form = checked("figures", Form, options.figures)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -78,7 +77,7 @@ def check_film(file: Path | str) -> None:
     suffix = Path(file).suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError("animate", f"found {str(file)!r}", "FILE.mp4, FILE.webp or FILE.gif")
-    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+    if suffix == ".mp4" and not FFMpegWriter.isAvailable():
         raise InputError("animate", f"{file} needs the program ffmpeg, which is not installed", "FILE.webp or FILE.gif")
 
 
@@ -163,16 +162,14 @@ class _ImageWriter(PillowWriter):
 
     _frames: list[Image.Image]  # of the base class
 
-    def grab_frame(self, **options: Any) -> None:
-        super().grab_frame(**options)
-        frame = self._frames[-1].convert("RGB")
-        is_gif = str(self.outfile).lower().endswith(".gif")
-        self._frames[-1] = frame.quantize(_GIF_COLORS, _OCTREE, dither=Image.Dither.NONE) if is_gif else frame
-
     def finish(self) -> None:
-        first, *others = self._frames
+        first, *others = map(_few_colors, self._frames) if str(self.outfile).lower().endswith(".gif") else self._frames
         options: dict[str, Any] = {"duration": round(1e3 / self.fps), "loop": 0, "quality": _WEBP_QUALITY}
         first.save(self.outfile, save_all=True, append_images=others, **options)
+
+
+def _few_colors(frame: Image.Image) -> Image.Image:
+    return frame.quantize(_GIF_COLORS, _OCTREE, dither=Image.Dither.NONE)
 
 
 class _MapDrawing:
@@ -246,7 +243,7 @@ class _MapDrawing:
             self._lines[name].set_data(*shown[name].T)
         if self._tracks:
             self._people.set_segments(walker_outlines(self._tracks[len(trace.estimates) - 1]))
-        self._robot.center = pose.x, pose.y
+        self._robot.set_center((pose.x, pose.y))
         self._caption.set_text(" · ".join(parts))
         self._show_cells(trace)
 

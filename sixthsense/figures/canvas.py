@@ -44,7 +44,7 @@ class Canvas:
             raise InputError("over", f"found {shown(over)} for {what}", f"{', '.join(axes)}")
         self.what, self.over = what, over
         self.given = None if ax is None else _axes(ax)
-        self.picture: Picture | None = None
+        self.picture = new_figure(WIDTH_IN, WIDTH_IN) if ax is None else None
 
     @property
     def is_one(self) -> bool:
@@ -53,9 +53,10 @@ class Canvas:
 
     def panels(self, rows: int, columns: int, width_in: float, height_in: float, **share: Any) -> list[Any]:
         """The axes of the figure, row by row; InputError if the caller has given another number of them."""
-        if self.given is None:
-            self.picture, axes = new_axes(rows, columns, width_in, height_in, **share)
-            return axes
+        if self.picture is not None:
+            self.picture.set_size_inches(width_in, height_in)
+            return list(self.picture.subplots(rows, columns, squeeze=False, **share).ravel())
+        assert self.given is not None
         if len(self.given) != rows * columns:
             raise InputError("ax", f"found {len(self.given)} axes for {self.what}", f"{rows * columns}")
         return self.given
@@ -65,13 +66,11 @@ class Canvas:
 
         Short lengths are in millimetres from then on.
         """
-        drawn = self.given if self.picture is None else self.picture.axes
-        for ax in drawn or ():
+        for ax in (self.given or []) if self.picture is None else self.picture.axes:
             in_millimetres(ax)
-        if self.given is None:
-            assert self.picture is not None
+        if self.picture is not None:
             self.picture.suptitle(f"{title}\n{subtitle}" if subtitle else title, fontsize=10.5 if subtitle else 12.0)
-        elif not self.given[0].get_title():
+        elif self.given is not None and not self.given[0].get_title():
             short = [title.partition(":")[0], subtitle.partition(" — ")[0]] if subtitle else [title]
             self.given[0].set_title("\n".join(short), fontsize=9)
 
@@ -97,10 +96,12 @@ class Canvas:
 
 def in_millimetres(ax: Any) -> None:
     """Label the vertical axis in millimetres, if it is one of metres and all of it is below 0.1 m."""
+    from matplotlib.ticker import Formatter
+
     label, most = ax.get_ylabel(), max(map(abs, ax.get_ylim()))
     if label.endswith("[m]") and label != "y [m]" and most < _SHORT_M:
         ax.set_ylabel(label.removesuffix("[m]") + "[mm]")
-        ax.yaxis.set_major_formatter(lambda value, _: f"{1e3 * value:.4g}".replace("-", "\N{MINUS SIGN}"))
+        ax.yaxis.set_major_formatter(lambda value, _: Formatter.fix_minus(f"{1e3 * value:.4g}"))
 
 
 def _axes(ax: Any) -> list[Any]:

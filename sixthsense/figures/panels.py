@@ -155,8 +155,8 @@ def card(run: MeasuredRun) -> str:
 
 
 def _maps(shown: Sequence[_Shown], canvas: Canvas) -> None:
-    if shown[0].label is None and canvas.given is None:
-        canvas.picture = map_figure(shown[0].trace, shown[0].run.title)
+    if shown[0].label is None and canvas.picture is not None:
+        map_figure(shown[0].trace, shown[0].run.title, figure=canvas.picture)
     else:
         _panel_per_run(shown, canvas, draw_map)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,8 @@ from sixthsense.sources.walking_space import BODY_M
 
 if TYPE_CHECKING:
     from sixthsense.core.picture import Picture
+
+Form = Literal["png", "svg", "pdf"]
 
 # Okabe and Ito's palette, which colour-blind people can distinguish.
 TRUTH = "#000000"
@@ -277,6 +279,14 @@ def save(figure: Any, file: Path | str) -> None:
         figure.savefig(file, **options)
 
 
+def save_forms(figure: Any, file: Path, form: Form) -> list[Path]:
+    """Write a figure as a PNG, and beside it in another `form`, if that is another; the file in that form."""
+    others = [file.with_suffix(f".{form}")] if form != "png" else []
+    for one in (file, *others):
+        save(figure, one)
+    return others
+
+
 def _is_large(artist: Any) -> bool:
     """Whether a layer has too many marks, or a line too many corners, for vector graphics."""
     from matplotlib.collections import Collection
@@ -308,9 +318,11 @@ def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = Non
     save(ax.get_figure(root=True), file)
 
 
-def map_figure(trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True) -> Picture:
-    """The map as a figure whose height follows from the shape of the map."""
-    figure = new_figure(width_in, width_in)
+def map_figure(
+    trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True, figure: Picture | None = None
+) -> Picture:
+    """The map as a figure, by default a new one, whose height follows from the shape of the map."""
+    figure = figure or new_figure(width_in, width_in)
     ax = figure.add_subplot()
     draw_map(ax, trace)
     figure.set_size_inches(width_in, map_height(ax, width_in))

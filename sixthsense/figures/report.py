@@ -10,7 +10,7 @@ import platform
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from sixthsense.config import Config
 from sixthsense.config.files import NOTES, parse_toml
@@ -21,9 +21,7 @@ from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
 from sixthsense.evaluation.results import QUANTITIES, in_groups, unit
 from sixthsense.evaluation.tables import digits, html_table, text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
-from sixthsense.figures.plot import save
-
-Form = Literal["png", "svg", "pdf"]
+from sixthsense.figures.plot import Form, save_forms
 
 
 def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:
@@ -40,9 +38,7 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
         figure = figure_if_any(name, runs)
         if figure is not None:
             pictures[out / f"{name}.png"] = kind.caption
-            files += [out / f"{name}.{form}"] if form != "png" else []
-            for file in dict.fromkeys((out / f"{name}.png", out / f"{name}.{form}")):
-                save(figure, file)
+            files += save_forms(figure, out / f"{name}.png", form)
     if len(runs) > 1:
         files.append(out / "metrics.csv")
         with files[-1].open("w", newline="", encoding="utf-8") as stream:

@@ -105,15 +105,15 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
     The image is cropped to the known cells.
     """
     import yaml
+    from PIL import Image
 
     known = known_part(occupancy, origin, cell_m)
     if known is None:
         return
     part, (left, _, bottom, _) = known
-    with whole(folder / "map.pgm") as file, file.open("wb") as out:
-        out.write(b"P5\n%d %d\n255\n" % part.shape[::-1])
-        for row in part[::-1]:  # the first row of an image is the top of the map
-            out.write(np.select([row == 0, row == 100], [np.uint8(254), np.uint8(0)], np.uint8(205)).tobytes())
+    shades = np.select([part == 0, part == 100], [np.uint8(254), np.uint8(0)], np.uint8(205))
+    with whole(folder / "map.pgm") as file:
+        Image.fromarray(shades[::-1]).save(file)  # the first row of an image is the top of the map
     meta = {
         "image": "map.pgm",
         "mode": "trinary",

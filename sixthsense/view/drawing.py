@@ -68,8 +68,6 @@ class Drawing:
             Path(sink).parent.mkdir(parents=True, exist_ok=True)
             with Path(sink).open("wb"):  # whose error names the file
                 self._stream.save(sink)
-        self._cells = b""  # of the grid sent last
-        self._has_doubts = False  # whether some are shown
 
     def begin(self, trace: Trace) -> None:
         """Send the static entities: layout, true walls, colours and names."""
@@ -140,9 +138,10 @@ class Drawing:
         """Send a planned path (N, 2)."""
         self._lines("map/plan", [path], PLAN, _THICK)
 
-    def map(self, trace: Trace) -> None:
-        """Send the grid, the frontiers, the landmarks and the path so far."""
-        self._grid(trace)
+    def map(self, trace: Trace, has_changed: bool = True) -> None:
+        """Send the grid and the frontiers, if the grid has changed; the landmarks and the path so far."""
+        if has_changed:
+            self._grid(trace)
         self._landmarks(trace)
         driven = np.array([estimate.pose.position for estimate in trace.key_estimates]).reshape(-1, 2)
         self._lines("map/driven", [driven], ESTIMATE, _THICK)
@@ -167,10 +166,6 @@ class Drawing:
             return
         part, (left, _, bottom, _) = known
         image = np.select([part == 100, part == 0], [_OBSTACLE, _FREE], 0).astype(np.uint8)
-        sent = image.tobytes() + repr((image.shape, left, bottom)).encode()
-        if sent == self._cells:
-            return
-        self._cells = sent
         cell_m = trace.config.grid.cell_m
         place = self._rr.Transform3D(translation=[left, bottom, 0.0], scale=[cell_m, cell_m, 1.0])
         self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
@@ -189,12 +184,8 @@ class Drawing:
     def _doubts(self, trace: Trace) -> None:
         """Send what speaks against the map, where it is to be seen; without a place of its own beside the robot."""
         verdict = trace.verdict if trace.live is None else trace.live.verdict
-        is_good = verdict is None or verdict.level == "good"
-        if is_good and not self._has_doubts:
-            return
-        self._has_doubts = not is_good
         places, labels = np.zeros((0, 2)), []
-        if verdict is not None and not is_good:
+        if verdict is not None and verdict.level != "good":
             here = np.array(trace.estimates[-1])[:2]
             told = [(cause.places[0] if len(cause.places) else here, cause.sentence) for cause in verdict.causes]
             told = told or [(here, str(verdict))]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from sixthsense.core.source import Tick
 from sixthsense.record.trace import Trace
+from sixthsense.slam.mapping.changes import Revision
 from sixthsense.view import LOOPBACK
 from sixthsense.view.drawing import Drawing
 from sixthsense.view.viewer import Viewer, check_view_target
@@ -46,6 +47,7 @@ class View:
         self._trace: Trace | None = None
         self._scans = self._keys = self._plans = 0
         self._next_s = -math.inf  # time of the next map
+        self._revision: Revision | None = None  # of the grid sent last
         self._is_open = True
 
     def __enter__(self) -> View:
@@ -57,7 +59,8 @@ class View:
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Show the data of a tick that has a scan."""
         if self._trace is not trace:
-            self._trace, self._scans, self._keys, self._plans, self._next_s = trace, 0, 0, 0, -math.inf
+            self._trace, self._scans, self._keys, self._plans = trace, 0, 0, 0
+            self._next_s, self._revision = -math.inf, None
             self._drawing.begin(trace)
         if len(trace.stamps_ns) == self._scans:
             return
@@ -74,13 +77,19 @@ class View:
             self._drawing.plan(trace.plans[-1])
         if now_s >= self._next_s:
             self._next_s = now_s + max(_PERIOD_S, _PERIOD_SHARE * now_s)
-            self._drawing.map(trace)
+            self._show_map(trace)
 
     def finish(self) -> None:
         """Send the final map and all pending data."""
         if self._trace is not None and self._trace.stamps_ns:
-            self._drawing.map(self._trace)
+            self._show_map(self._trace)
         self._drawing.flush(_FLUSH_S)
+
+    def _show_map(self, trace: Trace) -> None:
+        grid = trace.draw_map()
+        revision = None if grid is None else grid.changes.revision
+        self._drawing.map(trace, revision != self._revision)
+        self._revision = revision
 
     @property
     def is_interrupted(self) -> bool:

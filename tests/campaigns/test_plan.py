@@ -16,7 +16,7 @@ from settings import changed, flat, nested
 
 import sixthsense as ss
 from sixthsense import campaigns, cli
-from sixthsense.campaigns import CampaignPlan, CampaignRows, report, worker
+from sixthsense.campaigns import CampaignPlan, CampaignRows, worker
 from sixthsense.campaigns.cluster import check_workers
 from sixthsense.campaigns.folder import read_folder, save_folder
 from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, scene_digest, seed_range
@@ -243,7 +243,7 @@ def test_a_campaign_is_compared_in_groups_over_its_seeds(done: CampaignPlan, exp
 
 
 def test_the_report_has_figures_of_each_scene_medians_and_the_command_that_goes_on(done, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(report, "save", lambda figure, file: figure.savefig(file, dpi=20))
+    monkeypatch.setattr("sixthsense.figures.plot.save", lambda figure, file: figure.savefig(file, dpi=20))
     assert cli.main(["report", "mc"]) == cli.DONE
     names = {f"{kind}-{scene}.png" for kind in ("error", "error-distance", "rpe", "nees") for scene in ("hall", "loop")}
     assert {file.name for file in Path("mc/figures").iterdir()} == names | {"metrics.csv", "report.html"}
