@@ -7,6 +7,7 @@ which `tables.py` writes the pages.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import json
 import os
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 from unittest import mock
@@ -135,6 +136,28 @@ def unpack(commit: str, folder: Path) -> None:
     archive = subprocess.run(["git", "archive", commit], cwd=HERE.parent, check=True, capture_output=True)
     folder.mkdir(parents=True)
     subprocess.run(["tar", "-x"], cwd=folder, check=True, input=archive.stdout)
+
+
+@contextlib.contextmanager
+def trees(revision: str) -> Iterator[tuple[Path, Path]]:
+    """The tree that is worked on, and that of a commit as long as the block lasts."""
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder) / "tree"
+        unpack(commit_of(revision), base)
+        yield HERE.parent, base
+
+
+def environment(tree: Path) -> dict[str, str]:
+    """The environment in which Python imports the package of a tree."""
+    return os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
+
+
+def printed(tree: Path, program: str, *words: str, **more: str) -> Figures:
+    """What a program prints in its last line, run with the package of a tree; `more` is set in its environment."""
+    call = [sys.executable, "-c", program, *words]
+    done = subprocess.run(call, cwd=tree, env=environment(tree) | more, capture_output=True, text=True, check=True)
+    figures: Figures = json.loads(done.stdout.splitlines()[-1])
+    return figures
 
 
 def code_commit(code: Sequence[str] = PACKAGE) -> str:

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import bz2
 import json
-import os
 import resource
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from harness import HERE, Figures, commit_of, data_path, unpack
+from harness import HERE, Figures, data_path, environment, printed, trees
 
 from sixthsense.evaluation.metrics import relations_error
 from sixthsense.sources.logs import open_log
@@ -94,19 +93,16 @@ print(json.dumps({"first_s": begun[1]}))
 
 def logs_tables(revision: str) -> tuple[list[list[str]], list[list[str]]]:
     """Tables of this tree beside the commit `revision`, and beside MRPT."""
-    with tempfile.TemporaryDirectory() as folder:
-        base = Path(folder) / "tree"
-        unpack(commit_of(revision), base)
-        trees = (HERE.parent, base)
-        first = [_printed(tree, _FIRST, cache=f"{folder}/{k}")["first_s"] for k, tree in enumerate(trees)]
-        for tree in trees:  # its kernels are compiled
+    with tempfile.TemporaryDirectory() as folder, trees(revision) as both:
+        first = [printed(tree, _FIRST, NUMBA_CACHE_DIR=f"{folder}/{k}")["first_s"] for k, tree in enumerate(both)]
+        for tree in both:  # its kernels are compiled
             _command_s(tree, "aces", folder)
-            _printed(tree, _EXPLORE, "isam2")
-        logs = {log: _in_turn(lambda tree, log=log: _command_s(tree, log, folder), trees) for log in LOGS}
+            printed(tree, _EXPLORE, "isam2")
+        logs = {log: _in_turn(lambda tree, log=log: _command_s(tree, log, folder), both) for log in LOGS}
         rows = [(f"{log}, whole command, s", logs[log], f"<= {most:g}") for log, most in LOGS.items()]
         p99 = [np.inf, np.inf]
         for estimator, least in EXPLORED.items():
-            found = [[_printed(tree, _EXPLORE, estimator) for tree in trees] for _ in range(ROUNDS)]
+            found = [[printed(tree, _EXPLORE, estimator) for tree in both] for _ in range(ROUNDS)]
             best = [max(turn[k]["factor"] for turn in found) for k in range(2)]
             rows.append((f"apartment explored, `{estimator}`, times real time", best, f">= {least:g}"))
             if estimator == "ekf-invariant":
@@ -123,15 +119,9 @@ def logs_tables(revision: str) -> tuple[list[list[str]], list[list[str]]]:
     return [head, *([what, f"{a:.3g}", f"{b:.3g}", f"{a / b:.2f}", to] for what, (a, b), to in rows)], peers
 
 
-def _in_turn(spent_s: object, trees: Sequence[Path]) -> list[float]:
+def _in_turn(spent_s: Callable[[Path], float], both: Sequence[Path]) -> list[float]:
     """The least time of each tree."""
-    assert callable(spent_s)
-    found = [[float(spent_s(tree)) for tree in trees] for _ in range(ROUNDS)]
-    return [min(turn[k] for turn in found) for k in range(len(trees))]
-
-
-def _environment(tree: Path) -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
+    return np.min([[spent_s(tree) for tree in both] for _ in range(ROUNDS)], axis=0).tolist()
 
 
 def _command_s(tree: Path, log: str, folder: str) -> float:
@@ -140,21 +130,11 @@ def _command_s(tree: Path, log: str, folder: str) -> float:
     out = Path(folder) / f"{tree.name}.{log}"
     call = [sys.executable, "-c", _COMMAND, *words, "--out", str(out), "--overwrite"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(call, cwd=tree, env=_environment(tree), check=True, capture_output=True)
+    subprocess.run(call, cwd=tree, env=environment(tree), check=True, capture_output=True)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     if tree == HERE.parent:
         shutil.copy(out / "metrics.json", Path(folder) / f"{log}.json")
     return used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
-
-
-def _printed(tree: Path, program: str, *words: str, cache: str = "") -> Figures:
-    """What a program prints, run with the package of a tree."""
-    env = _environment(tree) | ({"NUMBA_CACHE_DIR": cache} if cache else {})
-    done = subprocess.run(
-        [sys.executable, "-c", program, *words], cwd=tree, env=env, capture_output=True, text=True, check=True
-    )
-    figures: Figures = json.loads(done.stdout.splitlines()[-1])
-    return figures
 
 
 def _mrpt(log: str) -> Figures:

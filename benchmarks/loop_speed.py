@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import HERE, commit_of, unpack
+from harness import printed, trees
 
 SCENES = ("rectangle", "block", "apartment", "office", "loop")
 ROUNDS = 3
@@ -54,14 +50,11 @@ if __name__ == "__main__":
 
 def loop_table(revision: str) -> list[list[str]]:
     """A table of runs on this tree, on the commit `revision`, and their ratio."""
-    with tempfile.TemporaryDirectory() as folder:
-        base = Path(folder) / "tree"
-        unpack(commit_of(revision), base)
-        trees = (HERE.parent, base)
-        for tree in trees:  # its kernels are compiled
+    with trees(revision) as both:
+        for tree in both:  # its kernels are compiled
             for estimator in ("ekf-invariant", "isam2"):
                 _run(tree, "apartment", estimator=estimator, task="explore", max_time=10.0)
-        rows = _rows(trees)
+        rows = _rows(both)
     head = ["what", "measured", f"at {revision}", "ratio", "to reach"]
     return [
         head,
@@ -87,7 +80,7 @@ def _rows(trees: Sequence[Path]) -> list[tuple[str, float, float, str]]:
         ours, before = (float(np.percentile(each, percent)) for each in ms)
         rows.append((f"keyframe of five scenes, p{percent}, ms", ours, before, to_reach))
     rows.append(("from the start of the process to the first motion, s", *starts, "1.1 s"))
-    hourly = [max(_printed(tree, _CAMPAIGN)["hourly"] for _ in range(2)) for tree in trees]
+    hourly = [max(printed(tree, _CAMPAIGN)["hourly"] for _ in range(2)) for tree in trees]
     rows.append(("tours of 200 s by a campaign of 16 on two cores, an hour", hourly[0], hourly[1], "ratio 2"))
     return rows
 
@@ -110,13 +103,4 @@ def _alternated(
 
 def _run(tree: Path, scene: str, **changes: object) -> dict[str, Any]:
     """Figures of a run of a scene in a process of its own: s of processor time, and ms of each keyframe."""
-    return _printed(tree, _RUN, scene, json.dumps({"is_kept": False} | changes))
-
-
-def _printed(tree: Path, program: str, *arguments: str) -> dict[str, Any]:
-    """What a program prints, run with the package of a tree."""
-    env = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
-    words = [sys.executable, "-c", program, *arguments]
-    done = subprocess.run(words, cwd=tree, env=env, capture_output=True, text=True, check=True)
-    figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return figures
+    return printed(tree, _RUN, scene, json.dumps({"is_kept": False} | changes))
