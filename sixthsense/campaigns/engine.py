@@ -12,19 +12,19 @@ import math
 import multiprocessing
 import os
 import queue
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import partial
-from multiprocessing import connection, resource_tracker
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
+from sixthsense.core.interrupt import terminal_blocked
 from sixthsense.record.writing import naming
 
 T = TypeVar("T")
@@ -219,20 +219,6 @@ def _serve(pipe: connection.Connection, initialize: Callable[[], object] | None)
 def _end_with(sentinel: int) -> None:
     connection.wait([sentinel])
     os._exit(1)
-
-
-@contextlib.contextmanager
-def terminal_blocked() -> Iterator[None]:
-    """Block SIGINT and SIGHUP within the block; processes and threads that are started in it inherit the mask.
-
-    A terminal sends them to all processes of the group, and only the one that has started the others may end them.
-    """
-    resource_tracker.ensure_running()  # starting it with the first process would unblock the signal
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _hiding = threading.Lock()

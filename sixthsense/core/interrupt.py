@@ -166,3 +166,22 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def terminal_blocked() -> Iterator[None]:
+    """Block SIGINT and SIGHUP within the block; processes and threads that are started in it inherit the mask.
+
+    A terminal sends them to all processes of the group, and only the one that has started the others may end them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    from multiprocessing import resource_tracker  # here, since most commands start no process
+
+    resource_tracker.ensure_running()  # starting it with the first process would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

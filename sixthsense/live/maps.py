@@ -10,9 +10,8 @@ import contextlib
 import multiprocessing
 import os
 import queue
-import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from multiprocessing.queues import Queue
 from typing import Any, NamedTuple, Self
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
+from sixthsense.core.interrupt import terminal_blocked
 from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Network, Node
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.record.messages import MAP_UPDATE, Messages
@@ -155,7 +155,7 @@ class MapSender:
         self._seen_m2 = context.Value("d", 0.0)
         arguments = (network, self._queue, self._is_free, self._seen_m2)
         self._process = context.Process(target=_send_maps, args=arguments, name="maps", daemon=True)
-        with _interrupts_blocked():
+        with terminal_blocked():  # who has started the process ends it
             self._process.start()
         self._taken_s, self._has_ended = -_PERIOD_S, False
         self._keyframes = self._scans = 0
@@ -237,16 +237,3 @@ def _send_maps(network: Network, news: Queue[News | None], is_free: Any, seen_m2
             assert draw is not None
             seen_m2.value = draw(some).seen_area_m2
             is_free.release()
-
-
-@contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """A process that is started meanwhile does not hear Ctrl-C: who has started it ends it."""
-    if not hasattr(signal, "pthread_sigmask"):  # on Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
