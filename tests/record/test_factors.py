@@ -1,4 +1,4 @@
-"""The factor graph that a run leaves says what the run's smoother says; `test_interop.py` has GTSAM read the file."""
+"""The factor graph of a run says what its smoother says; in `test_round_trips.py` GTSAM reads the file."""
 
 from pathlib import Path
 
