@@ -1,5 +1,3 @@
-import contextlib
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -13,9 +11,4 @@ class Threads(ThreadPoolExecutor):
 
 @pytest.fixture
 def nearby(monkeypatch):
-    @contextlib.contextmanager
-    def executor(*_: object) -> Iterator[Threads]:
-        with Threads(2) as threads:
-            yield threads
-
-    monkeypatch.setattr("sixthsense.campaigns.call._executor", executor)
+    monkeypatch.setattr("sixthsense.campaigns.call.Processes", lambda _: Threads(2))
