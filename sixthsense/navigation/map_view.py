@@ -77,7 +77,7 @@ class MapView:
         """the cells of the masks"""
         self.spare_m = config.grid.clearance_m - BUFFER_M if sees_beside(radius_m, config) else 0.0
         """how much of the clearance the robot gives up in narrow places: it goes where the guard lets it pass"""
-        self._radius_m = radius_m
+        self._kept_m = radius_m + BUFFER_M + 0.5 * self.spare_m  # the guard's distance, and half of what is left: noise
         self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
         """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
         self._area = AreaToSee(region, config)
@@ -265,7 +265,7 @@ class MapView:
         covered = self.grid.part("cover", box) > 0
         driven, stopped = self._driven[part], self._stops[part] >= TRIES
         if self._config.safety.guard:
-            near = self.grid.near_returns(box, self._radius_m) if self.spare_m > 0.0 else self.tight[part]
+            near = self.grid.near_returns(box, self._kept_m) if self.spare_m > 0.0 else self.tight[part]
             return np.asarray((near & ~driven) | (covered & stopped))
         touching = self.grid.inflated(box, -self._config.grid.clearance_m)
         return np.asarray(covered & (touching | ~driven))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy import ndimage
-from scipy.spatial import cKDTree
 from test_gridsearch import plain_costs
 
 from sixthsense.config import preset
@@ -99,8 +98,7 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     bounds = inside[0], inside[-1] + 1, across[0], across[-1] + 1
     assert np.array_equal(view.wanted, spread(unknown & in_region, unknown, 10, bounds))
     outside = (x < x0 - 0.3) | (x > x1 + 0.3) | (y < y0 - 0.3) | (y > y1 + 0.3)
-    near, _ = cKDTree(grid.obstacle_points(frame)).query(np.stack([x, y], axis=-1))
-    assert np.array_equal(view.blocked, (near <= RADIUS_M) | far_from(seen, 4) | outside)
+    assert np.array_equal(view.blocked, grid.near_returns(frame, RADIUS_M + 0.035) | far_from(seen, 4) | outside)
     assert np.array_equal(view.tight, grid.inflated(frame, BUFFER_M - CONFIG.grid.clearance_m))
     assert np.array_equal(view.passable, seen & ~view.blocked)
     cells = np.argwhere(known | unknown)[7::13] + np.array(view.first)

@@ -78,6 +78,34 @@ def test_a_gap_that_only_the_clearance_closes_is_open_to_a_robot_with_a_guard(
     assert is_open(seen_from_both_sides(walls, guarded)) is passed
 
 
+def passage(width: float, angle: float, length: float) -> Array:
+    """Walls of two rooms of 3 m, and of a passage of some width at an angle between them."""
+    half, along = 0.5 * length, np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-along[1], along[0]])
+    middle = np.array([4.013, 1.487])
+    sides = []
+    for side in (1.0, -1.0):
+        ends = middle + side * 0.5 * width * across + np.outer([-half, half], along)
+        rim = np.array([[end[0], 3.0 if side > 0.0 else 0.0] for end in ends])
+        sides += [ends, np.array([ends[0], rim[0]]), np.array([ends[1], rim[1]])]
+    return np.array([*rectangle(0.0, 0.0, 8.0, 3.0), *sides])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.2, 0.47, 0.8])
+@pytest.mark.parametrize("length", [0.15, 1.3])
+@pytest.mark.parametrize(("width", "passed"), [(0.5, True), (0.45, False)])
+def test_a_passage_is_open_if_it_leaves_the_robot_five_centimetres_on_either_side(
+    width: float, passed: bool, length: float, angle: float
+) -> None:
+    stage = Stage(passage(width, angle, length), {"safety": {"guard": True}})
+    along = np.array([np.cos(angle), np.sin(angle)])
+    for off in (-3.0, -1.6, -1.0, -0.4, 0.3, 0.8, 1.4, 2.8):
+        x, y = np.array([4.013, 1.487]) + off * along
+        stage.see(Pose(x, min(max(y, 0.4), 2.6), angle))
+    stage.look(START)
+    assert is_open(stage) is passed
+
+
 def test_whether_a_gap_can_be_passed_does_not_depend_on_where_the_robot_stands() -> None:
     near, far = (seen_from_both_sides(NARROW) for _ in range(2))
     for stage, place in ((near, Pose(3.6, 1.5, 0.0)), (far, Pose(1.0, 2.4, 0.0))):

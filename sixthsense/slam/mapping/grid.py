@@ -28,7 +28,7 @@ from sixthsense.slam.mapping.evidence import (
     touched_squares,
 )
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
-from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, mark_near, marked, stamped
+from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, marked, near_points, stamped
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, Places, Tiles
 
@@ -272,18 +272,19 @@ class Grid:
         """Whether an obstacle lies within `reach` cells from a cell, row, col from the world's origin."""
         return self._tiles.has_within(self._cells.obstacles, cell, reach)
 
-    def near_returns(self, box: Box, radius_m: float) -> Bools:
-        """(H, W) the cells of a box whose centres are nearer than a radius to where an obstacle is, or to a body."""
-        reach = math.ceil(radius_m / self._config.cell_m) + 1
-        around = box.grown(reach)
-        points = self.obstacle_points(around) / self._config.cell_m - (around.left, around.top)
-        near = np.zeros((around.bottom - around.top, around.right - around.left), dtype=np.bool_)
-        mark_near(near, points[:, ::-1] - 0.5, radius_m / self._config.cell_m)
-        inner = near[reach:-reach, reach:-reach]
+    def near_returns(self, box: Box, distance_m: float) -> Bools:
+        """(H, W) the cells of a box in which no place keeps a distance from where obstacles are, and from bodies.
+
+        So a gap is as wide as its returns are apart, whichever way it lies to the cells.
+        """
+        reach = math.ceil(distance_m / self._config.cell_m) + 1
+        around, shape = box.grown(reach), (box.bottom - box.top, box.right - box.left)
+        points = self.obstacle_points(around) / self._config.cell_m - (box.left, box.top)
+        near = near_points(shape, points[:, ::-1], distance_m / self._config.cell_m)
         if len(self._bodies):
-            stencil = disc(radius_m / self._config.cell_m)
-            inner = inner | stamped(marked(around, self._bodies), stencil)[reach:-reach, reach:-reach]
-        return np.asarray(inner)
+            stencil = disc(distance_m / self._config.cell_m)
+            near |= stamped(marked(around, self._bodies), stencil)[reach:-reach, reach:-reach]
+        return np.asarray(near)
 
     def part(self, name: CellField, box: Box) -> NDArray[Any]:
         """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""

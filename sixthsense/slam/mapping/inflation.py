@@ -66,15 +66,21 @@ def stamped(obstacles: Bools, stencil: NDArray[np.int64]) -> Bools:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def mark_near(near: Bools, points: Array, radius: float) -> None:
-    """Mark the cells whose centres are nearer than a radius to a point (N, 2), row and col from that of (0, 0)."""
-    height, width = near.shape
+def near_points(shape: tuple[int, int], points: Array, distance: float) -> Bools:
+    """(H, W) the cells in which no place is farther than a distance from points (N, 2), row and col from the corner.
+
+    Places are the middles of the parts that a cell's sides are divided into: three, less than the noise of a range.
+    """
+    height, width = shape
+    near = np.zeros((height, width), dtype=np.uint16)  # a bit for each part of a cell
+    fine = 3.0 * distance
     for k in range(len(points)):
-        row, col = points[k, 0], points[k, 1]
-        for r in range(max(math.ceil(row - radius), 0), min(math.floor(row + radius) + 1, height)):
-            half = math.sqrt(max(radius * radius - (r - row) ** 2, 0.0))
-            for c in range(max(math.ceil(col - half), 0), min(math.floor(col + half) + 1, width)):
-                near[r, c] = True
+        row, col = 3.0 * points[k, 0] - 0.5, 3.0 * points[k, 1] - 0.5
+        for r in range(max(math.ceil(row - fine), 0), min(math.floor(row + fine) + 1, 3 * height)):
+            half = math.sqrt(max(fine * fine - (r - row) ** 2, 0.0))
+            for c in range(max(math.ceil(col - half), 0), min(math.floor(col + half) + 1, 3 * width)):
+                near[r // 3, c // 3] |= 1 << (r % 3 * 3 + c % 3)
+    return np.asarray(near == (1 << 9) - 1)
 
 
 def too_near(obstacles: Bools, radius: float) -> Bools:

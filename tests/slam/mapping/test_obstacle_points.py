@@ -1,5 +1,7 @@
 """Where in its cell an obstacle is."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -56,15 +58,17 @@ def test_a_wall_without_returns_is_where_it_was_fitted() -> None:
     assert np.abs(off).max() < 0.026  # Bresenham's line leaves the wall's cells by half a cell
 
 
-def test_cells_are_near_an_obstacle_by_the_distance_to_its_returns() -> None:
+def test_cells_are_near_an_obstacle_where_no_place_in_them_keeps_the_distance_to_its_returns() -> None:
     grid = Grid(CONFIG, 0.2)
     for pose, scan in zip(POSES, scans(5), strict=True):
         grid.add(pose, scan, NO_WALLS)
     box = grid.box.grown(-7)
     points = grid.obstacle_points(grid.box.grown(10))
-    y = (np.arange(box.top, box.bottom)[:, None] + 0.5) * 0.05
-    x = (np.arange(box.left, box.right)[None, :] + 0.5) * 0.05
-    away = np.hypot(x[..., None] - points[:, 0], y[..., None] - points[:, 1]).min(axis=-1)
-    for radius_m in (0.2, 0.137):
-        assert np.array_equal(grid.near_returns(box, radius_m), away <= radius_m)
+    away = np.zeros((box.bottom - box.top, box.right - box.left))
+    for right, up in itertools.product((-1.0, 0.0, 1.0), repeat=2):  # thirds of a cell
+        x = (np.arange(box.left, box.right)[None, :] + 0.5 + right / 3.0) * 0.05
+        y = (np.arange(box.top, box.bottom)[:, None] + 0.5 + up / 3.0) * 0.05
+        away = np.maximum(away, np.hypot(x[..., None] - points[:, 0], y[..., None] - points[:, 1]).min(axis=-1))
+    for distance_m in (0.2, 0.137):
+        assert np.array_equal(grid.near_returns(box, distance_m), away <= distance_m)
     assert 0.1 < (away <= 0.137).mean() < 0.9
