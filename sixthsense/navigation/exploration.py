@@ -244,7 +244,7 @@ class Exploration:
 
     def _target_outside(self, pose: Pose) -> Target | None:
         """A target for a robot that may drive far outside the region, from where it may see more of it."""
-        if self._view.is_wide:
+        if self._view.is_wide or not self._view.reaches_limits:
             return None
         self._view.widen(True)
         target = self._next_target(pose)

@@ -42,8 +42,7 @@ class ExplorationView:
 
     def targets(self) -> list[Target]:
         """A view of each piece of the border that can be seen from a reachable cell, and is worth a look."""
-        planner, wanted = self.planner, self.candidates.wanted
-        found = (planner.target_beside(wanted, cells) for cells in self.candidates.clusters)
+        found = (self.planner.target_beside(self.candidates, cells) for cells in self.candidates.clusters)
         return [target for target in found if target is not None]
 
     def target_from(self, point: ArrayLike) -> Target | None:

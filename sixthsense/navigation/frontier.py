@@ -109,18 +109,19 @@ def smallest_regions(unseen: Bools, edge: Cells, max_cells: float) -> Nodes:
     return np.asarray(cells[np.repeat(is_small, sizes)])
 
 
-def frontier_clusters(edge: Cells, tile: int) -> list[Cells]:
+def frontier_clusters(edge: Cells, tile: int, first: Cells) -> list[Cells]:
     """The cells (N, 2) of each connected part of a frontier within each square of `tile` cells.
 
-    `edge` (M, 2), row by row, are the cells of the frontier.
+    `edge` (M, 2), row by row, are the cells of the frontier, in a map whose cell (0, 0) is `first` (2,) of the world.
     """
     if len(edge) == 0:
         return []
-    squares = edge // tile
-    keys = np.stack([joined(edge), squares[:, 0], squares[:, 1]], axis=1)
-    order = np.lexsort(keys.T)
+    rows, cols = ((edge + first) // tile).T
+    square = (cols - cols.min()) * (np.ptp(rows) + 1) + rows - rows.min()
+    keys = square * len(edge) + joined(edge)
+    order = np.argsort(keys, kind="stable")
     keys, cells = keys[order], edge[order]
-    starts = np.flatnonzero((np.diff(keys, axis=0) != 0).any(axis=1)) + 1
+    starts = np.flatnonzero(np.diff(keys)) + 1
     return [cells[a:b] for a, b in zip([0, *starts], [*starts, len(cells)], strict=True)]
 
 

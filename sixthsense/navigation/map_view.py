@@ -125,6 +125,12 @@ class MapView:
         """(H, W) the cells that paths over seen cells lead to from the robot, when views were last drawn."""
         return self._reached.cells
 
+    @property
+    def reaches_limits(self) -> bool:
+        """Whether a cell reached is at the edge of those that the robot may drive in."""
+        inside = self.reached[self._area.limits.grown(-1).within(self.first, self.shape)]
+        return bool(np.count_nonzero(inside) < np.count_nonzero(self.reached))
+
     def cell(self, point: Array) -> tuple[int, int]:
         """Row and col of a (2,) point, world frame, clipped to the masks."""
         row = math.floor(point[1] / self.cell_m) - self.frame.top
@@ -165,7 +171,7 @@ class MapView:
 
     def draw_views(self, here: tuple[int, int]) -> None:
         """Draw what views are chosen from, where it has changed, for a robot in the cell `here`."""
-        self.wanted.ravel()[self._ignored] = True
+        self.heed()
         part = (self.frame if self._area.is_wide else self._due.aligned(SQUARE)).within(self.first, self.shape)
         self._due = _NOWHERE
         if self.seen[part].size:
@@ -175,14 +181,19 @@ class MapView:
         mark_tiles(self.occupied, self.reached, self.obstacles, self._changed)
         self.tile_ways.update(self.reached, self._changed)
 
+    def heed(self) -> None:
+        """Take the cells that are ignored among the wanted ones again."""
+        self.wanted.ravel()[self._ignored] = True
+
     def ignore(self, cells: Nodes) -> Bools:
-        """Leave (N,) flat cells out of the wanted ones until views are drawn again.
+        """Leave (N,) flat cells out of the wanted ones, instead of those that were left out before.
 
         (H / 8, W / 8) the tiles of 8 cells in which the obstacles, the wanted cells, or those reached differ since the
         last call.
         """
         row, col = np.divmod(np.setxor1d(cells, self._ignored), max(self.shape[1], 1))
         self._changed[row // TILE, col // TILE] = True
+        self.heed()
         self._ignored = cells
         self.wanted.ravel()[cells] = False
         changed: Bools = self._changed
@@ -287,7 +298,7 @@ class MapView:
     def _make_masks(self, frame: Box) -> None:
         """Begin with masks of another frame, with what was in the present one."""
         if self._ignored.size:
-            self.wanted.ravel()[self._ignored] = True
+            self.heed()
         before, self.frame = self.frame, frame
         self.edge, self._ignored = np.zeros((0, 2), dtype=np.int64), self._ignored[:0]
         for name in _MASKS:

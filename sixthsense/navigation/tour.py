@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array
 from sixthsense.core.ordering import ascending
 from sixthsense.navigation.gridsearch.cost_tree import MOVES
-from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT, pop, push
+from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT
 from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
@@ -23,6 +23,7 @@ _LEG = 0.15  # the way to the first stop counts so much more: what is seen early
 _OPTIONS = 6  # nearest views that may be the first stop instead of the tour's
 _SEGMENT = 3  # most stops that are moved at once
 _LESS = 1e-6  # a tour that is not shorter by so much is as long
+_RING = DIAGONAL + 1  # more than the longest step
 
 Links = NDArray[np.uint8]
 """(H, W) of each tile: a bit for each neighbour, set if it leads there; across a corner, by a third tile."""
@@ -65,19 +66,19 @@ class TileWays:
 
     def lengths(self, cell: Cell, cells: Cells) -> Array:
         """(N,) lengths from a cell to `cells` (N, 2); inf without a way."""
-        return np.asarray(self._between(np.array([cell], dtype=np.int64), cells)[0])
+        both = np.vstack([np.array([cell], dtype=np.int64), cells])
+        return np.asarray(self._between(both, 1)[0, 1:])
 
     def matrix(self, cells: Cells) -> Array:
         """(N, N) lengths between cells (N, 2); inf without a way."""
-        lengths = np.zeros((len(cells), len(cells)))
-        for k in range(len(cells) - 1):
-            lengths[k, k + 1 :] = lengths[k + 1 :, k] = self._between(cells[k : k + 1], cells[k + 1 :])[0]
-        return lengths
+        lengths = self._between(cells, len(cells))
+        return lengths + lengths.T
 
-    def _between(self, sources: Cells, targets: Cells) -> Array:
-        lengths = _lengths(self._links, sources // self.tile, targets // self.tile) * (self.tile / STRAIGHT)
-        straight = np.hypot(*(sources[:, None] - targets).transpose(2, 0, 1))
-        return np.asarray(np.maximum(lengths, straight))
+    def _between(self, cells: Cells, sources: int) -> Array:
+        """(M, N) lengths from the first M of cells (N, 2) to those after each; 0 for the others."""
+        lengths = _lengths(self._links, cells // self.tile, sources) * (self.tile / STRAIGHT)
+        straight = np.hypot(*(cells[:sources, None] - cells).transpose(2, 0, 1))
+        return np.asarray(np.triu(np.maximum(lengths, straight), 1))
 
 
 def view_order(ways: TileWays, here: Cell, views: Cells, home: Cell) -> Cells:
@@ -150,50 +151,69 @@ def _link(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _lengths(links: Links, sources: Cells, targets: Cells) -> Array:
-    """(M, N) lengths of ways between tiles, in steps; inf without one."""
-    lengths = np.full((len(sources), len(targets)), np.inf)
-    steps: Steps = np.empty(links.shape, dtype=np.int32)
-    wanted = np.zeros(links.shape, dtype=np.bool_)
-    for j in range(len(targets)):
-        wanted[targets[j, 0], targets[j, 1]] = True
-    for i in range(len(sources)):
-        _search(links, sources[i, 0], sources[i, 1], wanted, wanted.sum(), steps)
-        for j in range(len(targets)):
-            there = steps[targets[j, 0], targets[j, 1]]
-            if there >= 0:
-                lengths[i, j] = there
+def _lengths(links: Links, tiles: Cells, sources: int) -> Array:
+    """(M, N) lengths, in steps, of ways from the first M of tiles (N, 2) to those after each; inf without one."""
+    width = links.shape[1]
+    lengths = np.full((sources, len(tiles)), np.inf)
+    at = tiles[:, 0] * width + tiles[:, 1]
+    steps: Steps = np.empty(links.size, dtype=np.int32)
+    stacks = np.empty((_RING, links.size), dtype=np.int32)
+    moves = np.empty(8, dtype=np.int64)
+    for k in range(8):
+        moves[k] = MOVES[k][0] * width + MOVES[k][1]
+    wanted = np.zeros(links.size, dtype=np.bool_)
+    wanted[at] = True
+    missing = wanted.sum()
+    for i in range(sources):
+        _search(links.ravel(), moves, at[i], (wanted, missing), stacks, steps)
+        for j in range(i + 1, len(tiles)):
+            if steps[at[j]] >= 0:
+                lengths[i, j] = steps[at[j]]
+        if wanted[at[i]] and not (at[i + 1 :] == at[i]).any():
+            wanted[at[i]] = False
+            missing -= 1
     return lengths
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps: Steps) -> None:
-    """Write the lengths of ways from a tile to `steps`, -1 for none, until `missing` of the `wanted` tiles are met.
+def _search(
+    links: NDArray[np.uint8],
+    moves: NDArray[np.int64],
+    start: int,
+    wanted: tuple[Bools, int],
+    stacks: NDArray[np.int32],
+    steps: Steps,
+) -> None:
+    """Write the lengths of ways from a tile to `steps`, -1 for none, until so many of the `wanted` tiles are met.
 
-    Dijkstra's search with a ring of buckets.
+    Tiles are flat indices, `moves` what is added to one for each neighbour. Dijkstra's search with a ring of buckets: a
+    tile is in a bucket once at most.
     """
-    width = links.shape[1]
+    is_wanted, missing = wanted
     steps[:] = -1
-    steps[row, col] = 0
-    ring = DIAGONAL + 1  # more than the longest step
-    stacks, sizes = np.empty((ring, 1024), dtype=np.int32), np.zeros(ring, dtype=np.int64)
-    stacks[0, 0], sizes[0] = row * width + col, 1
+    steps[start] = 0
+    sizes = np.zeros(_RING, dtype=np.int64)
+    stacks[0, 0], sizes[0] = start, 1
     at, queued = 0, 1
     while queued > 0 and missing > 0:
-        at, cell = pop(stacks, sizes, at)
+        while sizes[at % _RING] == 0:
+            at += 1
+        slot = at % _RING
+        sizes[slot] -= 1
         queued -= 1
-        r, c = cell // width, cell % width
-        if steps[r, c] != at:
+        tile = stacks[slot, sizes[slot]]
+        if steps[tile] != at:
             continue  # a shorter way to it has been found since
-        missing -= wanted[r, c]
+        missing -= is_wanted[tile]
         for k in range(8):
-            if links[r, c] >> k & 1:
-                to_r, to_c = r + MOVES[k][0], c + MOVES[k][1]
-                there = at + (STRAIGHT if k < 4 else DIAGONAL)
-                if 0 <= steps[to_r, to_c] <= there:
+            if links[tile] >> k & 1:
+                to, there = tile + moves[k], at + (STRAIGHT if k < 4 else DIAGONAL)
+                if 0 <= steps[to] <= there:
                     continue
-                steps[to_r, to_c] = there
-                stacks = push(stacks, sizes, there % ring, to_r * width + to_c)
+                steps[to] = there
+                slot = there % _RING
+                stacks[slot, sizes[slot]] = to
+                sizes[slot] += 1
                 queued += 1
 
 

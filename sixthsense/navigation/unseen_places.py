@@ -71,7 +71,7 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
             given_up[tuple(adjacent_cells(candidates.wanted, cells).T)] = True
     edge = np.argwhere(frontier_cells(view.free, given_up))
     edge = edge[in_large_regions(view.free, edge, planner.glimpsed_cells(), view.cell(planner.pose.position))]
-    clusters = frontier_clusters(edge, planner.tile)
+    clusters = frontier_clusters(edge, planner.tile, np.array(view.first))
     if not clusters:
         return []
     reach = planner.gain.sensor.reach
@@ -84,7 +84,7 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
     for centre in map(centre_cell, clusters):
         for reason, allowed in viewpoints.items():
             cell = allowed.nearest(centre)
-            if cell is not None and planner.gain.shown(hidden, cell, centre) > 0:
+            if cell is not None and planner.gain.shown(hidden, cell, centre, 0) > 0:
                 mark_visible(visible[reason], view.opaque, hidden, *cell, reach)
                 seen_from[reason].append(cell)
                 break

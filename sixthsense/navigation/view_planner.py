@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -104,7 +103,7 @@ class ViewPlanner:
         self.known.forget(view.ignore(ignored), view.first)
         edge = edge[are_beside(wanted, edge)]
         first = np.array(view.first)
-        return Candidates(wanted, [cells - first for cells in frontier_clusters(edge + first, self.tile)], spare)
+        return Candidates(wanted, frontier_clusters(edge, self.tile, first), spare)
 
     def glimpsed_cells(self) -> int:
         """Fewest free cells of a place that counts though it is not connected to the robot's: those of a whole tile.
@@ -116,34 +115,34 @@ class ViewPlanner:
     def best(self, candidates: Candidates) -> Target | None:
         """The first stop of a short tour through the views; None if all that is visible together is dust."""
         view = self.view
-        found = [(cells, *seen_from) for cells, seen_from in self._some_views(candidates)]
-        keys = [self.key(centre_cell(cells)) for cells, *_ in found]
-        found = [found[k] for k in self.known.worthwhile(keys, candidates.dust)]
+        found = self._some_views(candidates)
+        found = [found[k] for k in self.known.worthwhile([key for _, key, _ in found], candidates.dust)]
         if not found:
             return None
-        views, here = np.array([cell for _, cell, _ in found]), view.cell(self.pose.position)
+        views, here = np.array([cell for *_, cell in found]), view.cell(self.pose.position)
         order = view_order(self.ways, here, views, view.cell(self.home))
-        target = self.target_of(candidates.wanted, *found[order[0]][:2])
-        return replace(target, tour=views[order] + np.array(view.first))
+        cells, _, cell = found[order[0]]
+        return replace(self.target_of(candidates.wanted, cells, cell), tour=views[order] + np.array(view.first))
 
-    def _some_views(self, candidates: Candidates) -> list[tuple[Cells, tuple[Cell, int]]]:
-        """The clusters that have a view, with the view and how many cells it shows; far off, not all of one square.
+    def _some_views(self, candidates: Candidates) -> list[tuple[Cells, Cell, Cell]]:
+        """The clusters that have a view, with the key of their centre and the view; far off, not all of one square.
 
         There beams cut a frontier into many pieces. After the largest one in a square whose view shows more than may
         be left, the others wait: what that view leaves of them is looked at afterwards.
         """
         found, done = [], set()
-        first, here, reach = (
-            np.array(self.view.first),
-            self.view.cell(self.pose.position),
-            self.gain.sensor.gapless_reach,
-        )
-        for cells in sorted(candidates.clusters, key=len, reverse=True):
-            square = tuple(((cells[0] + first) // self.tile).tolist())
-            if square not in done and (seen_from := self.view_beside(candidates.wanted, cells)):
-                found.append((cells, seen_from))
-                if seen_from[1] > candidates.dust and math.dist(cells[0], here) > reach:
-                    done.add(square)
+        clusters = candidates.clusters
+        begins = np.array([cells[0] for cells in clusters])
+        squares = list(map(tuple, ((begins + self.view.first) // self.tile).tolist()))
+        is_far = np.hypot(*(begins - self.view.cell(self.pose.position)).T) > self.gain.sensor.gapless_reach
+        for k in sorted(range(len(clusters)), key=lambda k: len(clusters[k]), reverse=True):
+            if squares[k] in done:
+                continue
+            key, view = self.view_beside(candidates, clusters[k])
+            if view.cell is not None:
+                found.append((clusters[k], key, self.local(view.cell)))
+                if is_far[k] and view.shown > candidates.dust:
+                    done.add(squares[k])
         return found
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
@@ -152,7 +151,7 @@ class ViewPlanner:
         sizes = np.bincount(labels.ravel())
         found: dict[int, list[tuple[Cells, Target]]] = {}
         for cells in candidates.clusters:
-            target = self.target_beside(candidates.wanted, cells)
+            target = self.target_beside(candidates, cells)
             if target is not None:
                 row, col = target.cells[0] - self.view.first
                 found.setdefault(int(labels[row, col]), []).append((cells, target))
@@ -163,13 +162,13 @@ class ViewPlanner:
         sample = area[rng.integers(len(area))]
         return min(found[label], key=lambda pair: float(((pair[0] - sample) ** 2).sum(axis=1).min()))[1]
 
-    def target_beside(self, wanted: Bools, cells: Cells) -> Target | None:
-        """The cells of `wanted` beside a cluster, with the nearest viewpoint; None if no view is worth while."""
-        found = self.view_beside(wanted, cells)
-        return None if found is None else self.target_of(wanted, cells, found[0])
+    def target_beside(self, candidates: Candidates, cells: Cells) -> Target | None:
+        """The unseen cells beside a cluster, with the nearest viewpoint; None if no view is worth while."""
+        _, view = self.view_beside(candidates, cells)
+        return None if view.cell is None else self.target_of(candidates.wanted, cells, self.local(view.cell))
 
-    def view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int] | None:
-        """The nearest viewpoint of a cluster, and how many cells it shows; None if no view is worth while.
+    def view_beside(self, candidates: Candidates, cells: Cells) -> tuple[Cell, View]:
+        """The key of a cluster's centre, and what the search for its nearest view finds.
 
         A view past the edge of an obstacle, which itself shows nothing, counts as one from nearby, where the robot
         would fit without the clearance.
@@ -177,16 +176,17 @@ class ViewPlanner:
         centre = centre_cell(cells)
         key = self.key(centre)
         known = self.known.get(key)
-        if known is not None:
-            return None if known.cell is None else (self.local(known.cell), known.shown)
-        view = self.viewpoints.nearest(centre)
-        shown = 0 if view is None else self.gain.shown(wanted, view, centre) or self.gain.shown_nearby(wanted, centre)
-        if view is None or shown == 0:
-            span = int(self.gain.sensor.reach) if view is None else self.gain.span(view, centre)
-            self.known.add(key, View(None, 0, span))
-            return None
-        self.known.add(key, View(self.key(view), shown, self.gain.span(view, centre)))
-        return view, shown
+        if known is not None and known.is_known_beyond(candidates.dust):
+            return key, known
+        view, gain = self.viewpoints.nearest(centre), self.gain
+        enough = 2.0 * candidates.dust  # which grows with the map
+        found = View(None, 0, int(gain.sensor.reach))
+        if view is not None:
+            asked = candidates.wanted, view, centre
+            shown = gain.shown(*asked, enough) or gain.shown_nearby(candidates.wanted, centre, enough)
+            found = View(self.key(view) if shown else None, shown, gain.span(view, centre), enough)
+        self.known.add(key, found)
+        return key, found
 
     def target_of(self, wanted: Bools, cells: Cells, view: Cell) -> Target:
         """The cells of `wanted` beside a cluster, to be seen from a cell of the frame."""

@@ -27,9 +27,15 @@ class View(NamedTuple):
     cell: Cell | None
     """the cell to look from, from the world's origin; None if no view from a cell in reach is worth while"""
     shown: int
-    """how many cells it shows"""
+    """how many cells it shows, counted until there were more than enough"""
     span: int
     """rows and columns around the cell that determine this"""
+    enough: float = math.inf
+    """cells"""
+
+    def is_known_beyond(self, dust: float) -> bool:
+        """Whether it is known if it shows more than `dust` cells."""
+        return self.shown <= self.enough or self.shown > dust
 
 
 class KnownViews:
@@ -136,18 +142,22 @@ class ViewGain:
     view: MapView
     sensor: SensorModel
 
-    def shown(self, wanted: Bools, view: Cell, cell: Cell) -> int:
-        """How many of the `wanted` cells (H, W) a view, from one cell of another, shows up to a little behind that."""
+    def shown(self, wanted: Bools, view: Cell, cell: Cell, enough: float) -> int:
+        """How many of the `wanted` cells (H, W) a view, from one cell of another, shows up to a little behind that.
+
+        It is counted until there are more than `enough`.
+        """
         depth, sensor = round(_GAIN_DEPTH_M / self.view.cell_m), self.sensor
         reach = min(sensor.reach, math.dist(view, cell) + depth)
-        return int(expected_gain(self.view.opaque, wanted, *view, sensor.rays, reach, depth))
+        towards = round(math.atan2(cell[0] - view[0], cell[1] - view[1]) / math.tau * sensor.rays)
+        return int(expected_gain(self.view.opaque, wanted, *view, (sensor.rays, towards), reach, depth, enough))
 
     def span(self, view: Cell, cell: Cell) -> int:
         """How many rows and columns around a cell determine its nearest view and what that shows."""
         around = (_NEARBY_M + _GAIN_DEPTH_M) / self.view.cell_m + self.view.radius
         return math.ceil(2.0 * math.dist(view, cell) + around)
 
-    def shown_nearby(self, wanted: Bools, cell: Cell) -> int:
+    def shown_nearby(self, wanted: Bools, cell: Cell, enough: float) -> int:
         """How many of the `wanted` cells the nearest view of a cell shows, if the robot needs no clearance."""
         radius, span = self.view.radius, _NEARBY_M / self.view.cell_m
         around = math.ceil(span + radius)
@@ -156,4 +166,4 @@ class ViewGain:
         obstacles = self.view.obstacles[part].copy()  # contiguous, as the kernels' arrays are
         fitting = self.view.seen[part] & ~too_near(obstacles, radius)
         view = Viewpoints(fitting, obstacles, span).nearest((cell[0] - top, cell[1] - left))
-        return 0 if view is None else self.shown(wanted, (view[0] + top, view[1] + left), cell)
+        return 0 if view is None else self.shown(wanted, (view[0] + top, view[1] + left), cell, enough)

@@ -46,17 +46,28 @@ def line_of_sight(obstacles: Bools, row: int, col: int, to_row: int, to_col: int
 
 
 @numba.njit(cache=True, error_model="numpy")
-def expected_gain(obstacles: Bools, unseen: Bools, row: int, col: int, rays: int, reach: float, depth: int) -> int:
-    """How many cells of `unseen` are crossed by evenly spaced `rays` from a cell's centre, each `reach` long.
+def expected_gain(
+    obstacles: Bools,
+    unseen: Bools,
+    row: int,
+    col: int,
+    rays: tuple[int, int],
+    reach: float,
+    depth: int,
+    enough: float = math.inf,
+) -> int:
+    """How many cells of `unseen` are crossed by evenly spaced rays from a cell's centre, each `reach` long.
 
-    A ray ends at an obstacle and after `depth` unseen cells: cells deep in unknown space are probably occluded.
+    A ray ends at an obstacle and after `depth` unseen cells: cells deep in unknown space are probably occluded. `rays`
+    are their number and the first one; those beside it follow, until more than `enough` cells are counted.
     """
     height, width = obstacles.shape
+    number, first = rays
     span = int(reach) + 2
     counted = np.zeros((2 * span + 1, 2 * span + 1), dtype=np.bool_)  # the surroundings of the cell
     count = 0
-    for i in range(rays):
-        angle = 2.0 * math.pi * i / rays
+    for i in range(number):
+        angle = 2.0 * math.pi * ((first + ((i + 1) // 2 if i % 2 else -(i // 2))) % number) / number
         ray = ray_from(col + 0.5, row + 0.5, math.cos(angle), math.sin(angle))
         left = depth
         while left > 0:
@@ -69,6 +80,8 @@ def expected_gain(obstacles: Bools, unseen: Bools, row: int, col: int, rays: int
                 if not counted[r - row + span, c - col + span]:
                     counted[r - row + span, c - col + span] = True
                     count += 1
+                    if count > enough:
+                        return count
     return count
 
 

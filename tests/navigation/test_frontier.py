@@ -27,7 +27,7 @@ def test_a_frontier_is_a_free_cell_that_shares_an_edge_with_an_unseen_one(seed: 
 @pytest.mark.parametrize("seed", range(10))
 def test_clusters_hold_every_frontier_cell_once_and_none_is_larger_than_a_tile(seed: int) -> None:
     edge = scattered(seed, 0.3)
-    pieces = frontier.frontier_clusters(np.argwhere(edge), 6)
+    pieces = frontier.frontier_clusters(np.argwhere(edge), 6, np.array([12, -6]))
     together = np.concatenate(pieces)
     assert len(together) == np.count_nonzero(edge)
     assert edge[together[:, 0], together[:, 1]].all() and len(np.unique(together, axis=0)) == len(together)
@@ -35,7 +35,7 @@ def test_clusters_hold_every_frontier_cell_once_and_none_is_larger_than_a_tile(s
 
 
 def test_no_frontier_has_no_cluster() -> None:
-    assert frontier.frontier_clusters(np.zeros((0, 2), dtype=np.int64), 6) == []
+    assert frontier.frontier_clusters(np.zeros((0, 2), dtype=np.int64), 6, np.zeros(2, dtype=np.int64)) == []
 
 
 def test_gaps_of_two_cells_in_a_wall_are_closed_and_a_door_is_not() -> None:
@@ -84,7 +84,7 @@ def test_clusters_come_in_the_order_of_labels_of_the_whole_map(seed: int) -> Non
     keys = np.column_stack([labels[edge], cells // 6])
     order = np.lexsort(keys.T)
     starts = np.flatnonzero((np.diff(keys[order], axis=0) != 0).any(axis=1)) + 1
-    clusters = frontier.frontier_clusters(cells, 6)
+    clusters = frontier.frontier_clusters(cells, 6, np.zeros(2, dtype=np.int64))
     assert all(np.array_equal(a, b) for a, b in zip(clusters, np.split(cells[order], starts), strict=True))
 
 

@@ -55,3 +55,9 @@ def test_small_views_are_ignored_up_to_the_dust_until_the_map_around_them_change
     assert views.get((50, 5)) is None
     views.add((50, 5), View((50, 6), 9, 2))
     assert views.worthwhile(cells, 3.5) == [1, 2]
+
+
+def test_a_view_that_was_counted_until_it_was_enough_is_counted_anew_when_more_may_be_left() -> None:
+    whole, cut = View((5, 7), 13, 2, 26.0), View((5, 7), 27, 2, 26.0)
+    assert whole.is_known_beyond(12.9) and whole.is_known_beyond(90.0)
+    assert cut.is_known_beyond(26.9) and not cut.is_known_beyond(27.0)

@@ -142,6 +142,22 @@ def test_changes_are_told_where_obstacles_wanted_and_reached_cells_differ() -> N
     assert told > 0
 
 
+def test_cells_that_are_ignored_are_those_of_the_last_choice_alone() -> None:
+    rng, grid = np.random.default_rng(4), Grid(CONFIG.grid, RADIUS_M)
+    for _ in range(9):
+        see(grid, rng)
+    view = MapView(REGION, RADIUS_M, CONFIG)
+    view.update(grid)
+    view.draw_views(view.cell(np.zeros(2)))
+    wanted = view.wanted.copy()
+    first, second = np.flatnonzero(wanted)[3::7], np.flatnonzero(wanted)[5::11]
+    view.ignore(first)
+    view.ignore(second)
+    assert np.array_equal(np.flatnonzero(view.wanted), np.setdiff1d(np.flatnonzero(wanted), second))
+    view.heed()
+    assert np.array_equal(view.wanted, wanted)
+
+
 def test_spaces_with_a_margin_are_those_of_the_grid_within_the_limits() -> None:
     from sixthsense.slam.mapping.freespace import Ellipse
 

@@ -42,9 +42,9 @@ def test_a_line_of_sight_crosses_no_obstacle(seed):
 def test_the_gain_of_a_view_is_what_its_rays_cross(reach, depth):
     rng = np.random.default_rng(4)
     obstacles, unseen = rng.random((17, 23)) < 0.06, rng.random((17, 23)) < 0.5
-    for row, col in ((7, 9), (2, 20)):
-        found = set()
-        for i in range(37):
+    for row, col, first in ((7, 9, -4), (2, 20, 36)):
+        found, counts = set(), []  # cells, and how many after each ray
+        for i in [first] + [first + side * k for k in range(1, 19) for side in (1, -1)]:
             left = depth
             for r, c in crossed(row, col, 2.0 * math.pi * i / 37, reach):
                 if not (0 <= r < 17 and 0 <= c < 23) or obstacles[r, c] or left == 0:
@@ -52,7 +52,12 @@ def test_the_gain_of_a_view_is_what_its_rays_cross(reach, depth):
                 if unseen[r, c]:
                     left -= 1
                     found.add((r, c))
-        assert expected_gain(obstacles, unseen, row, col, 37, reach, depth) == len(found)
+            counts.append(len(found))
+        asked = obstacles, unseen, row, col, (37, first), reach, depth
+        assert expected_gain(*asked) == len(found)
+        for enough in (0, counts[5], len(found) - 1):
+            assert expected_gain(*asked, enough) == enough + 1
+        assert expected_gain(*asked, len(found)) == len(found)
 
 
 @pytest.mark.parametrize("seed", range(8))
