@@ -148,29 +148,36 @@ def test_returns_are_judged_both_ways_and_those_of_the_scan_once(laser):
     assert judged(seen, pose) == pytest.approx(expected) and min(expected) > 5.0
 
 
-def test_a_normal_is_that_of_the_line_through_neighbours_with_the_variance_of_its_angle():
+def plain_normal(returns, i, low, high, reach_m):
+    """Normal and variance of return `i` of a piece, by returns to either side up to a distance; None without one."""
+    away = np.hypot(*(returns[low:high, :2] - returns[i, :2]).T)
+    # Up to that distance and the first return beyond, but two returns at least.
+    first = max([k for k in range(low, i - 1) if away[k - low] > reach_m], default=low)
+    past = min([k for k in range(i + 2, high) if away[k - low] > reach_m], default=high - 1) + 1
+    points = returns[first:past, :2].astype(float)
+    if len(points) < (3 if first < i < past - 1 else 4):
+        return None
+    values, axes = np.linalg.eigh(np.cov(points.T, bias=True))
+    n = axes[:, 0] * -np.sign(axes[:, 0] @ returns[i, :2])
+    return None if values[0] > 0.06 * values[1] else [*n, values[0] / values[1] / (len(points) - 2)]
+
+
+@pytest.mark.parametrize("noise_m", [0.004, 0.02])
+def test_a_normal_is_that_of_the_line_through_near_neighbours_or_else_through_more(noise_m):
     bearings, rng = Bearings(-0.4, 0.03, 30, False, 2.0, 1), np.random.default_rng(1)
     angles, normal = -0.4 + 0.03 * np.arange(30), 0.35
-    ranges = 1.3 / np.cos(angles - normal) + 0.004 * rng.standard_normal(30)
+    ranges = 1.3 / np.cos(angles - normal) + noise_m * rng.standard_normal(30)
     ranges[20:] += 0.5  # another surface
     returns = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), ranges]).astype(np.float32)
     returns[9] = 0.0
-    found = np.ones((30, 3), np.float32)
+    found, counts = np.ones((30, 3), np.float32), {"near": 0, "far": 0, "none": 0}
     fit_normals(returns, bearings, found)
     for i in (*range(9), *range(10, 30)):
         low, high = next(piece for piece in ((0, 9), (10, 20), (20, 30)) if piece[0] <= i < piece[1])
-        away = np.hypot(*(returns[low:high, :2] - returns[i, :2]).T)
-        # To either side up to 12 cm and the first return beyond, but two returns at least.
-        first = max([k for k in range(low, i - 1) if away[k - low] > 0.12], default=low)
-        past = min([k for k in range(i + 2, high) if away[k - low] > 0.12], default=high - 1) + 1
-        points = returns[first:past, :2].astype(float)
-        if len(points) < (3 if first < i < past - 1 else 4):
-            assert not found[i].any()
-            continue
-        values, axes = np.linalg.eigh(np.cov(points.T, bias=True))
-        n = axes[:, 0] * -np.sign(axes[:, 0] @ returns[i, :2])
-        assert found[i] == pytest.approx([*n, values[0] / values[1] / (len(points) - 2)], rel=2e-3, abs=1e-5), i
-    assert not found[9].any()
+        near, far = (plain_normal(returns, i, low, high, reach_m) for reach_m in (0.12, 0.24))
+        assert found[i] == pytest.approx(near or far or [0.0, 0.0, 0.0], rel=2e-3, abs=1e-5), i
+        counts["near" if near else "far" if far else "none"] += 1
+    assert not found[9].any() and counts["near"] > 3 and counts["far"] > (0 if noise_m < 0.01 else 4)
 
 
 def test_the_covariance_of_a_link_is_that_of_its_sums_by_hand():
