@@ -35,8 +35,8 @@ def instead_of(folder: Path, name: str) -> str:
     return f"no {name} in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
 
 
-def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
-    """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
+def load_config(file: str | Path, base: Config | None = None) -> Config:
+    """Read a TOML file, partial or whole, over `base`; without one over the preset it names, by default `default`.
 
     The fields of a file count as stated, but for the saved configuration of a simulated run, which has them all. Raises
     InputError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
@@ -45,7 +45,7 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
     table = read_table(path)
     notes = [table.pop(note, None) for note in NOTES]
     try:
-        config = merge(base or preset(table.get("preset", otherwise)), table)
+        config = merge(base or preset(table.get("preset", "default")), table)
     except InputError as error:
         raise error.within(path) from None
     has_all, is_replayed = (note is not None for note in notes[:2])
