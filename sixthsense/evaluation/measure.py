@@ -51,7 +51,7 @@ def measure(trace: Trace) -> Metrics:
         if parameters is not None:  # (2, n), values and sigmas
             keys = sorted((key for key in QUANTITIES if key.startswith(name)), key=lambda key: "sigma" in key)
             out |= zip(keys, parameters.ravel().tolist(), strict=True)
-    if trace.outcome.startswith("explored"):
+    if trace.outcome.startswith("explored") or trace.left:
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
     out["path_length_m"] = trace.path_length_m

@@ -205,13 +205,16 @@ class Exploration:
         return True
 
     def _look_for_a_way_home(self, pose: Pose) -> None:
-        """Without a path home, try again where the guard has stopped the robot, which has come through somewhere."""
+        """Without a path home, try again where the guard has stopped the robot, which has come through somewhere.
+
+        It is shut in: what it has left unseen may be beyond, so it explores on, and goes home when nothing is left.
+        """
         if self._ways_home < TRIES:
             self._ways_home += 1
             self._view.forget_stops()
             self.driver.update_map(self._map, pose)
-            self.driver.plan(pose)
-            if self.driver.following:
+            self._choose_view(pose)
+            if self.driver.following or self._turning:
                 return
         if self._may_wait():
             self.driver.plan(pose)

@@ -1,5 +1,7 @@
 """What an exploration does next, on maps that a noiseless robot has seen."""
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -289,8 +291,8 @@ def test_a_blocked_path_is_planned_again_towards_the_same_goal(state: State) -> 
 def shut_in(walls: Array) -> Stage:
     """All that can be seen is seen, and the robot is where the walls enclose it, far from home."""
     stage = Stage(walls)
-    for _ in range(3):
-        stage.see(Pose(6.0, 1.5, 0.0))
+    for x, y in itertools.product((4.5, 6.0, 7.5), (0.5, 1.5, 2.5)):
+        stage.see(Pose(x, y, 0.0))
     exploration = stage.exploration
     exploration.state, exploration._target = "going home", NO_TARGET
     exploration.look(stage.grid, estimate(Pose(6.0, 1.5, 0.0)))
@@ -315,6 +317,24 @@ def test_a_robot_shut_in_where_the_guard_has_stopped_it_tries_again_on_its_way_h
     assert not exploration.driver.following
     for _ in range(TRIES):
         assert not exploration.handle("turned around", pose) and exploration.driver.following
+
+
+def test_a_robot_shut_in_where_the_guard_has_stopped_it_explores_what_is_beyond() -> None:
+    door = [[[4.0, 0.0], [4.0, 1.23]], [[4.0, 1.77], [4.0, 3.0]]]
+    stage = Stage(np.array([*rectangle(0.0, 0.0, 8.0, 3.0), *door, [[2.0, 3.0], [2.0, 0.9]]]))
+    for x, y in ((4.8, 1.5), (6.0, 1.5)):  # but not all that is before the door
+        stage.see(Pose(x, y, 0.0))
+    exploration, pose = stage.exploration, Pose(6.0, 1.5, 0.0)
+    exploration.look(stage.grid, estimate(pose))
+    for _ in range(TRIES):
+        exploration._view.count_stop(np.array([[3.95, 1.2], [3.95, 1.8]]))
+    exploration.driver.stop()
+    while exploration.state == "viewing":
+        exploration._give_up_target(pose)
+    assert exploration.left and not exploration.driver.following
+    assert not exploration.handle("turned around", pose)
+    assert exploration.state == "viewing" and exploration.driver.following
+    assert exploration.driver.goal[0] < 4.0 and not exploration._view.given_up()[exploration._view.wanted].any()
 
 
 def test_where_people_are_expected_the_robot_waits_before_it_leaves_a_place_unseen(
