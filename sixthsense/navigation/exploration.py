@@ -94,7 +94,7 @@ class Exploration:
 
         What stops it has come into the map by then, or the robot does not fit though the map says so.
         """
-        self._view.count_stop(self.driver.ahead(pose, 3.0 * self._view.cell_m))
+        self._view.count_stop(self.driver.ahead(pose, self._task.radius_m))
         self.driver.update_map(self._map, pose)
         self.driver.guard_stopped(pose)
 
