@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sixthsense.auditing.hints import hints
 from sixthsense.auditing.opening import Options, Order, Source, open_estimate, open_truth
 from sixthsense.auditing.pairing import (
     Align,
@@ -164,7 +165,8 @@ def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options)
     motion = aligned(pair, align, frame)
     own, other = (errors_of(pair, motion, align, one) for one in (frame, _other(frame)))
     trajectory = trajectory_errors(pair)
-    return _Compared(estimate, pair.truth, own, other, offset, trajectory, (*pair.notes, *_of_offset(offset)))
+    notes = (*pair.notes, *hints(pair, align), *_of_offset(offset))
+    return _Compared(estimate, pair.truth, own, other, offset, trajectory, notes)
 
 
 def _of_offset(offset: Offset | None) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.auditing import rotations
-from sixthsense.auditing.poses import Frame, Poses, interpolated, is_of_plane
+from sixthsense.auditing.poses import Frame, Poses, interpolated, is_of_plane, tilted
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.effective import effective_number, whitened_errors
@@ -87,6 +87,8 @@ def same_space(estimate: Poses, truth: Poses) -> tuple[Poses, Poses, list[str]]:
     if not reason:
         return estimate, truth, []
     note = [] if estimate.is_planar else [f"audited as SE(2), x, y and heading: {reason}"]
+    for one in (estimate, truth):
+        note += [] if one.is_planar else tilted(one.name, one.orientations)
     return estimate.in_plane(), truth.in_plane(), note
 
 

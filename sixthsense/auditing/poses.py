@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,6 +20,7 @@ Stamps = NDArray[np.int64]
 PLANE = (0, 1, 5)
 """x, y and yaw of x y z roll pitch yaw"""
 _BESIDE = (2, 3, 4)
+_TILTED = 0.5  # cosine
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,18 @@ def is_of_plane(poses: Poses) -> str:
     if level and np.ptp(poses.positions[:, 2]) == 0.0:
         return "z, roll and pitch never change"
     return ""
+
+
+def tilted(name: str, orientations: Array) -> list[str]:
+    """A line for poses of a robot on a floor, (N, 3, 3), whose z axis does not point up."""
+    least = float(orientations[:, 2, 2].min())
+    if least > _TILTED:
+        return []
+    angle = math.degrees(math.acos(max(-1.0, least)))
+    return [
+        f"{name}: the z axis is tilted by up to {angle:.0f}°: is the order qx qy qz qw, and are the axes those of the "
+        "robot, x ahead and z up?"
+    ]
 
 
 def check_covariances(poses: Poses) -> None:

@@ -298,3 +298,55 @@ def test_poses_before_the_truth_in_its_gaps_and_without_rank_are_left_out_and_co
     lines = [note for note in found.notes if note.startswith("left out")]
     assert [line.split(" poses ")[0] for line in lines] == [f"left out: {n} of {len(times)}" for n in (3, 2, 1)]
     assert found.findings.poses == len(times) - 6
+
+
+def shown_by(estimate, truth, stamps_s=None):
+    """The notes on 240 s of a drive with white errors as stated, where estimate or truth is as given."""
+    rng = np.random.default_rng(4)
+    cov = np.diag([0.04, 0.05, 0.01]) ** 2
+    t = 0.2 * np.arange(1200.0)
+    way = np.column_stack([5.0 * np.sin(0.11 * t), 3.0 * np.cos(0.23 * t), 1.5 * np.sin(0.31 * t) + 0.02 * t])
+    drawn = way + rng.multivariate_normal(np.zeros(3), cov, len(t))
+    found = ss.audit(
+        (t, estimate(drawn, t), np.broadcast_to(cov, (len(t), 3, 3))),
+        (t if stamps_s is None else stamps_s(t), truth(way, t)),
+    )
+    return [note for note in found.notes if not note.startswith("left out")]
+
+
+def same(way, _):
+    return way
+
+
+def moved(way, _):
+    c, s = np.cos(1.7), np.sin(1.7)
+    return np.column_stack([c * way[:, 0] - s * way[:, 1] + 3.0, s * way[:, 0] + c * way[:, 1] - 2.0, way[:, 2] + 1.7])
+
+
+def another(_, t):
+    return np.column_stack([4.0 * np.cos(0.17 * t), 5.0 * np.sin(0.07 * t), 1.3 * np.cos(0.19 * t) - 0.05 * t])
+
+
+def carried(way, t):
+    return np.where(t[:, None] < 97.0, way, moved(way, t))
+
+
+@pytest.mark.parametrize(("estimate", "truth", "stamps_s", "said"), [
+    (same, another, None, "estimate and truth may not be of one drive, or have other clocks: their turns correlate by"),
+    (same, moved, None, "the frames differ: aligned by all poses (`align` all) the ATE falls from"),
+    (same, lambda way, _: way * (1000.0, 1000.0, 1.0), None, "times those of estimate: are both in metres?"),
+    (same, lambda way, _: way + np.array([0.0, 0.0, 0.5 * np.pi]), None, "headings differ by -90° all along"),
+    (same, same, lambda t: t + 0.5, "stamps of the estimate are about 0.5 s early, by the errors of headings"),
+    (same, same, lambda t: t - 0.5, "stamps of the estimate are about 0.5 s late, by the errors of headings"),
+    (carried, same, None, "at 97.00 s the estimate jumps by"),
+])  # fmt: skip
+def test_errors_that_are_no_estimators_are_told_by_what_they_look_like(estimate, truth, stamps_s, said):
+    notes = shown_by(estimate, truth, stamps_s)
+    assert len(notes) <= 2 and any(said in note for note in notes)
+
+
+def test_honest_errors_drift_and_overconfidence_are_not_told_as_another_cause():
+    assert shown_by(same, same) == []
+    assert shown_by(lambda way, _: 3.0 * (way - way.mean(axis=0)) - 2.0 * way + way.mean(axis=0) * 3.0, same) == []
+    rng = np.random.default_rng(6)
+    assert shown_by(lambda way, _: way + np.cumsum(rng.normal(0.0, (0.02, 0.02, 0.002), way.shape), axis=0), same) == []
