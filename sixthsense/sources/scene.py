@@ -157,6 +157,7 @@ def check_placement(
         raise InputError("start", f"missing, the scene {scene.name} has none of its own", "x y theta")
     values = (start.x, start.y, start.theta) if isinstance(start, Pose) else start
     x, y, theta = read_numbers("start", values, "x y theta")
+    _check_heading("start", theta)
     _check_clear("start", (x, y), scene, radius)
     goals = [] if goal is None else [("goal", goal)]
     goals += [(f"tour, entry {k}", place) for k, place in enumerate(tour, 1)]
@@ -187,7 +188,9 @@ def _from_toml(path: Path) -> Scene:
     region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
     tour = tuple(read_each("tour", table.get("tour", []), read_point))
     goal = read_point("goal", table["goal"]) if "goal" in table else None
-    start = Pose(*read_numbers("start", table["start"], "x y theta"))
+    x, y, theta = read_numbers("start", table["start"], "x y theta")
+    _check_heading("start", theta)
+    start = Pose(x, y, theta)
     scene = Scene(
         path.stem,
         walls,
@@ -228,6 +231,12 @@ def _bounds(walls: Array) -> Region:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
+def _check_heading(where: str, theta: float) -> None:
+    """Raise InputError for a heading that can only be degrees."""
+    if abs(theta) > 2.0 * math.pi:
+        raise InputError(where, f"found the heading {theta:g}", "radians, -6.28 to 6.28")
+
+
 def _check_inside(where: str, point: Point, region: Region) -> None:
     (x, y), (x0, y0, x1, y1) = point, region
     if not (x0 <= x <= x1 and y0 <= y <= y1):
@@ -239,13 +248,19 @@ def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
     found, allowed = f"found ({point[0]:g}, {point[1]:g}),", f"at least the robot's radius {radius:g} m"
     if distance < radius:
         raise InputError(where, f"{found} {distance:.3g} m from a wall", allowed + _near(point, scene, radius))
-    if scene.solid_left:
-        ends = scene.walls - np.array(point)  # (N, 2, 2)
-        cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
-        turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
-        if turns > 0.5:
-            allowed = "a free place" + _near(point, scene, radius)
-            raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", allowed)
+    if _is_in_wall(point, scene):
+        allowed = "a free place" + _near(point, scene, radius)
+        raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", allowed)
+
+
+def _is_in_wall(point: Point, scene: Scene) -> bool:
+    """Whether a point lies inside the outlines of a scene whose walls have the solid on their left."""
+    if not scene.solid_left:
+        return False
+    ends = scene.walls - np.array(point)  # (N, 2, 2)
+    cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
+    turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
+    return bool(turns > 0.5)
 
 
 def _near(point: Point, scene: Scene, radius: float) -> str:
@@ -254,7 +269,7 @@ def _near(point: Point, scene: Scene, radius: float) -> str:
 
     place = np.array(point, dtype=np.float64)
     near = FreeParts(scene.solid, place[None], radius, is_coarse=True).nearest(place)
-    return "" if near is None else f", such as ({near[0]:.2f}, {near[1]:.2f})"
+    return "" if near is None or _is_in_wall((near[0], near[1]), scene) else f", such as ({near[0]:.2f}, {near[1]:.2f})"
 
 
 def _picture(scene: Scene) -> Picture:

@@ -30,12 +30,13 @@ def way(seconds: float) -> Pose:
 def robot_bag(
     path: Path, kind: str = "mcap", *, seconds: float = 6.0, scan=lambda k, says: says, odom=lambda k, says: says,
     links=LINKS, odom_in_tf: bool = False, inverted: bool = False, late_s: float = 0.0, echo: bool = False,
-    namespace: str = "",
+    namespace: str = "", odom_type: str = "", empty: bool = False,
 ) -> Path:  # fmt: skip
     """Write the bag: odometry every 20 ms and a scan of 240 beams every 100 ms.
 
     `scan` and `odom` change what scan or pose number `k` says, a dictionary, or leave the message out by None. `links`
-    are constant transforms, static or of /tf. The scans' clock is `late_s` ahead of the others.
+    are constant transforms, static or of /tf. The scans' clock is `late_s` ahead of the others. Odometry may be poses
+    of another type, and topics of scans and odometry without a message may stand beside those with some.
     """
 
     def put_scan(k, record_ns):
@@ -66,9 +67,15 @@ def robot_bag(
             return
         pose = Pose(says["unit"] * pose.x, says["unit"] * pose.y, pose.theta)
         topic = f"{namespace}/odom"
+        if odom_type:
+            shown = bag.pose(pose) if odom_type.endswith("PoseStamped") else bag.spread(pose)
+            bag.put(topic, odom_type, record_ns, bag.header(says["stamp_ns"], "odom"), shown)
+            return
         bag.odometry(says["stamp_ns"], pose, topic, turn=says["turn"], child=says["child"], record_ns=record_ns)
 
     with Bag(path, kind) as bag:
+        for name, of in (("/scan_front", "sensor_msgs/msg/LaserScan"), ("/wheels", "nav_msgs/msg/Odometry")) * empty:
+            bag.writer.add_connection(name, of, typestore=bag.store)
         for where, *link in links:
             if where == "static":
                 bag.transform(*link, record_ns=T0_NS)

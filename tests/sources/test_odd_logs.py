@@ -72,6 +72,9 @@ READ = {
     "odometry and mount in /tf": ({"links": TF, "odom_in_tf": True}, 60, "odometry: /tf odom -> base_footprint, 300"),
     "odometry inverted in /tf": ({"odom_in_tf": True, "inverted": True}, 60, "odometry: /tf odom -> base_footprint"),
     "no child frame": ({"odom": at(every, "child", "")}, 60, "the robot's frame: taken to be base_footprint"),
+    "another child frame": (
+        {"odom": at(every, "child", "base_stabilized")}, 60, "the laser where base_footprint, the root of its frames,"),
+    "topics without a message": ({"empty": True}, 60, ""),
     "zero quaternion": (
         {"odom": at(first, "turn", (0.0, 0.0, 0.0, 0.0))}, 60, "3 of 300 messages of /odom left out: found a pose"),
     "one range": ({"scan": at(at_40, "count", 1)}, 59, "1 of 60 messages of /scan left out: found a scan of 1 ranges"),
@@ -156,6 +159,15 @@ def test_two_clocks_that_share_no_time_and_no_turn_are_refused_with_both_interva
 def test_ranges_from_right_to_left_are_told_by_the_turns(tmp_path):
     log = open_log(robot_bag(tmp_path / "bag", scan=at(every, "is_mirrored", True)))
     assert any(note.startswith("scans turn the other way round from odometry") for note in log.remarks())
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
+def test_a_topic_of_poses_is_odometry_where_it_is_named_and_is_named_where_it_is_not(kind, tmp_path):
+    bag = robot_bag(tmp_path / "bag", odom_type=f"geometry_msgs/{kind}")
+    alone, log = open_log(bag), open_log(bag, topics=["/odom"])
+    assert not alone.has_odometry and "no odometry, but poses: /odom; `topics` takes one of" in alone.remarks()[0]
+    assert log.has_odometry and off_walls_m(log.ticks) < 1e-4
+    assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=1e-6)
 
 
 def test_where_no_frames_lead_to_the_laser_the_note_names_those_that_there_are(tmp_path):

@@ -206,6 +206,11 @@ def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"start: found \(1.5, 4.9\), inside a wall, 0.8 m deep"):
         check_placement(scene, (1.5, 4.9, 0.4))
     assert len(load_scene(write_map(tmp_path, pixels), "free").walls) == 4
+    inverted = load_scene(write_map(tmp_path, 254 - pixels, origin="[-1.3, 2.7, 0]"))
+    with pytest.raises(InputError, match=r"inside a wall, [.\d]+ m deep, allowed: a free place$"):
+        check_placement(inverted, (0.2, 3.5, 0.4))
+    with pytest.raises(InputError, match="start: found the heading 90, allowed: radians"):
+        check_placement(scene, (0.2, 3.5, 90.0))
 
 
 @pytest.mark.parametrize(("fields", "said"), [

@@ -13,6 +13,7 @@ from typing import IO
 _MCAP, _ROSBAG, _SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG", b"SQLite format 3\x00"
 _SUFFIXES = {_MCAP: ".mcap", _ROSBAG: ".bag", _SQLITE: ".db3"}
 _METADATA = "metadata.yaml"
+_NAMED = 5  # files in a note
 _CHUNK, _KEPT = 0x06, (0x03, 0x04, 0x05)  # records: a chunk; schema, channel and message
 _LARGEST_RECORD = 1 << 28  # bytes
 _END = struct.pack("<BQI", 0x0F, 4, 0) + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0) + _MCAP  # data end and footer
@@ -61,7 +62,9 @@ def readable(path: Path, decompress: Decompress, remarks: list[str]) -> Iterator
             return
         if files and not is_cut:
             kind = "names other files" if (path / _METADATA).is_file() else "is not there"
-            remarks.append(f"{_METADATA} {kind}: read {', '.join(file.name for file in files[:5])}")
+            some = ", ".join(file.name for file in files[:_NAMED])
+            more = f" and {len(files) - _NAMED} more" * (len(files) > _NAMED)
+            remarks.append(f"{_METADATA} {kind}: read {some}{more}")
         yield [_named(file, into, decompress, remarks) for file in files] or [path]
 
 

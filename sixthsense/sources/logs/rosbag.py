@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 _SCANS = (LASER_SCAN, MULTI_ECHO)
+_POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped")
 
 
 class How(NamedTuple):
@@ -136,10 +137,11 @@ def _recording(path: Path, reader: AnyReader, chosen: Mapping[str, str], how: Ho
                 out.scans.append((stamp_ns(message), record_ns, place, message))
                 out.lasers[frame_name(message.header.frame_id)] += 1
             else:
-                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+                at = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+                pose = planar(at.position, at.orientation)
                 pose = Pose(how.units.odometry * pose.x, how.units.odometry * pose.y, pose.theta)
                 out.odometry.append((stamp_ns(message), record_ns, place, pose))
-                out.robots[frame_name(message.child_frame_id)] += 1
+                out.robots[frame_name(getattr(message, "child_frame_id", ""))] += 1
         except ValueError as error:
             out.refused.add(topic, error)
     if not out.scans:
@@ -149,6 +151,9 @@ def _recording(path: Path, reader: AnyReader, chosen: Mapping[str, str], how: Ho
     elif "odometry" not in chosen:
         out.has_odometry = False
         out.robots[out.tree.root(out.laser)] += 1
+        if how.odometry and (poses := sorted({c.topic for c in reader.connections if c.msgtype in _POSES})):
+            names = ", ".join(map(shown_name, poses))
+            remarks.append(f"no odometry, but poses: {names}; `topics` takes one of these as odometry")
     elif not out.odometry:
         _without(path, out, chosen["odometry"])
     return out
@@ -193,10 +198,17 @@ def _take_odometry(
 
 
 def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry: bool) -> dict[str, str]:
-    """The topic of scans, and that of odometry if there is one; InputError with the candidates if it is not clear."""
+    """The topic of scans, and that of odometry if there is one; InputError with the candidates if it is not clear.
+
+    A topic of poses is odometry where it is named.
+    """
     types = {c.topic: c.msgtype for c in reader.connections}
     kinds = {"scan": _SCANS, "odometry": (ODOMETRY,)}
     fitting = {what: sorted(t for t, name in types.items() if name in names) for what, names in kinds.items()}
+    for what, names in fitting.items():  # a topic without a message is no choice beside one that has some
+        fitting[what] = [name for name in names if reader.topics[name].msgcount] or names
+    if named := [topic for topic in topics if types.get(topic) in _POSES]:
+        fitting["odometry"] = named
     for topic in topics:
         if topic not in itertools.chain(*fitting.values()):
             offered = sorted(itertools.chain(*fitting.values()))
@@ -320,6 +332,8 @@ def _mount(
                 tree.take(str(path), connection.topic, message, record_ns, recording.refused)
             robot = _robot(recording)
             found = tree.mount(robot, recording.laser)
+        root = tree.root(recording.laser)
+        from_root = tree.mount(root, recording.laser) if root != recording.laser else None
     except ValueError as error:
         raise InputError(f"{path} /tf_static", str(error)) from None
     if not recording.robot and recording.has_odometry and found is not None:
@@ -327,14 +341,15 @@ def _mount(
             f"odometry does not name the robot's frame: taken to be {shown_name(robot)}, the root of the frames that "
             f"lead to {shown_name(recording.laser)}"
         )
-    place, upside_down = found or (Pose(), False)
+    place, upside_down = found or from_root or (Pose(), False)
     if is_given or any(laser.mount):
         return Pose(*laser.mount), upside_down
     if found is None and recording.has_odometry:
         frames = f"{shown_name(robot)} to {shown_name(recording.laser)}"
         there = ", ".join(map(shown_name, tree.frames()[:12])) or "none"
+        where = f"where {shown_name(root)}, the root of its frames, has it" if from_root else "at the robot's centre"
         remarks.append(
-            f"assumed: the laser at the robot's centre, since no constant transforms lead from {frames} "
+            f"assumed: the laser {where}, since no constant transforms lead from {frames} "
             f"(frames: {there}; otherwise set `laser.mount`)"
         )
     return place, upside_down
