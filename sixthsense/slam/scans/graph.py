@@ -37,6 +37,7 @@ REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
 M_PER_RAD = 0.5  # what a turn counts as a distance
 AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
 _PERIOD = 10  # keyframes between two times that all poses are read, and that leave at a time: each costs a solution
+_WEIGHTED = 0.777  # mean of a chi-square of 3 degrees of freedom by the weights of the loss, over that without
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
 LOSS = 4.0  # scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)
@@ -225,11 +226,11 @@ class ScanGraph:
     def variance_factor(self) -> float:
         """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
 
-        The a posteriori variance of unit weight of a least-squares adjustment: the sum of the squares of the links'
-        whitened residuals over the redundancy, that of links less that of poses. The links of a keyframe to one pass
-        count once in it: what apparent poses do not take up is an error of the same returns in all of them (a design
-        effect as of samples in clusters; Kish, "Survey Sampling", 1965). The factor is 1 where the track has broken or
-        the robot was carried.
+        The a posteriori variance of unit weight of a least-squares adjustment: the weighted sum of the squares of the
+        links' whitened residuals over the redundancy, that of links less that of poses. The links of a keyframe to one
+        pass count once in it: what apparent poses do not take up is an error of the same returns in all of them (a
+        design effect as of samples in clusters; Kish, "Survey Sampling", 1965). The factor is 1 where the track has
+        broken or the robot was carried.
         """
         return self._variance_factors()[0]
 
@@ -251,6 +252,8 @@ class ScanGraph:
             passes, keys = len(np.unique(2 * sources + are_old)), len(np.unique(sources))
             redundancy = 3 * passes * (1.0 - keys / max(len(links), 1))
             squares = self.squares(links)
+            # Weighted as in the graph: a few wrong links say nothing of the others. Of right ones so much is left.
+            squares /= _WEIGHTED * (1.0 + squares / LOSS**2)
             unscaled = squares * np.array([self.links[i].scale for i in links])
             now, before = ((float(s.sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR) for s in (squares, unscaled))
             self._factors = now, before

@@ -104,7 +104,11 @@ def test_all_poses_are_read_anew_from_time_to_time(graph):
 
 @pytest.mark.parametrize("off_m", [0.0, 0.05])
 def test_returns_count_less_where_links_fit_worse_than_they_state(graph, off_m):
-    """By hand: of one link the redundancy is 0, so that its square stands beside a prior of 10 degrees of freedom."""
+    """By hand: of one link the redundancy is 0, so that its square stands beside a prior of 10 degrees of freedom.
+
+    The square is weighted as in the graph, so that a link that is metres wrong says no more than one of 10 sigmas. The
+    weights leave 0.777 of a chi-square of three degrees of freedom (by numerical integration with scipy).
+    """
     graph.link(2, NO_KEYS, np.array([0]), None)
     for pose in graph.estimator.poses[1:]:
         pose[0] += off_m
@@ -114,12 +118,21 @@ def test_returns_count_less_where_links_fit_worse_than_they_state(graph, off_m):
     off = between(graph.poses[0], graph.poses[2])
     error = link.pose - off
     square = error @ np.linalg.inv(link.cov) @ error
+    square /= 0.777 * (1.0 + square / 16.0)
     assert graph.variance_factor() == pytest.approx((square + 10.0) / 10.0)
     expected = max(1.0, (2.5 * square + 10.0) / 10.0)
-    assert graph.scale() == pytest.approx(expected) and (graph.scale() > 1.5) == (off_m > 0.0)
+    assert graph.scale() == pytest.approx(expected) and (graph.scale() > 2.0) == (off_m > 0.0)
     graph.usual = Usual(0.2, 0.5)
     found = align_with(graph.store.returns, np.array([0]), 1, graph.poses, 0.25)
     graph.link(1, NO_KEYS, np.array([0]), None)
     newest = graph.links[1]
     assert (newest.target, newest.source) == (0, 1) and newest.scale == pytest.approx(expected)
     np.testing.assert_allclose(newest.cov, expected * covariances(found.sums, np.array([2.0]), 0.01)[0], rtol=1e-9)
+
+
+def test_a_link_that_is_far_off_says_no_more_of_the_others_than_one_of_many_sigmas(graph):
+    graph.link(2, NO_KEYS, np.array([0]), None)
+    graph.estimator.poses[1:, 0] += 40.0
+    graph.refresh()
+    assert graph.squares([*graph.links])[0] > 1e6
+    assert graph.variance_factor() == pytest.approx((16.0 / 0.777 + 10.0) / 10.0, rel=1e-4)
