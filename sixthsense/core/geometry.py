@@ -38,6 +38,15 @@ def rotation(theta: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
+def _no_numbers(*values: object) -> ValueError:
+    """The error of a pose of something else than three numbers."""
+    from sixthsense.config.errors import InputError  # here, since poses are made below the configuration
+    from sixthsense.config.section import shown
+
+    found = ", ".join(shown(value) for value in values)
+    return InputError("pose", f"found {found}", "three numbers x, y, theta; of an array, Pose.from_array")
+
+
 @dataclass(frozen=True, slots=True, init=False)
 class Pose:
     """A rigid motion of the plane, `T_a_b`: frame b seen from frame a.
@@ -54,9 +63,12 @@ class Pose:
 
     def __init__(self, x: float = 0.0, y: float = 0.0, theta: float = 0.0) -> None:
         # Written out: every control tick makes a dozen poses, and a dataclass would set each field twice.
-        angle = float(theta)
-        _set(self, "x", float(x))
-        _set(self, "y", float(y))
+        try:
+            angle, x, y = float(theta), float(x), float(y)
+        except (TypeError, ValueError):
+            raise _no_numbers(x, y, theta) from None
+        _set(self, "x", x)
+        _set(self, "y", y)
         _set(self, "theta", angle if -math.pi <= angle < math.pi else wrap_angle(angle))
 
     @classmethod

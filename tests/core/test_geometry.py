@@ -62,6 +62,11 @@ def test_frames_cancel_for_points_as_for_poses(a, b, x, y):
 def test_a_wrong_shape_is_named():
     with pytest.raises(ValueError, match=r"expected shape \(3,\), got \(2,\)"):
         Pose.from_array([1.0, 2.0])
+    for wrong in ([1.0, 2.0, 0.3], None, "east"):
+        with pytest.raises(
+            ValueError, match=r"pose: found .*allowed: three numbers x, y, theta; of an array, Pose\.from"
+        ):
+            Pose(wrong)
     with pytest.raises(ValueError, match=r"got \(3,\)"):
         Pose() @ np.zeros(3)
 

@@ -213,6 +213,29 @@ def test_the_field_of_view_of_flaser_lines_is_that_which_the_turns_of_odometry_f
         assert log.scans[0].bearings == pytest.approx(bearings, abs=1e-5)
 
 
+@pytest.mark.parametrize(("turned_rad", "in_degrees"), [(0.0, True), (0.0, False), (2.0, False)])
+def test_headings_along_which_a_robot_goes_only_in_degrees_are_refused(
+    tmp_path: Path, turned_rad: float, in_degrees: bool
+) -> None:
+    """Of a robot that drives forward, or, of one with wheels to all sides, elsewhere."""
+    x, y, lines = 0.3, -0.2, []
+    for k in range(60):
+        heading = 0.4 + 0.07 * k
+        x, y = x + 0.1 * math.cos(heading + turned_rad), y + 0.1 * math.sin(heading + turned_rad)
+        theta = math.degrees(heading) if in_degrees else heading
+        lines.append(f"ODOM {x:.4f} {y:.4f} {theta:.4f} 0.1 0.2 0.0 {0.2 * k:.1f} nohost 0.5\n")
+    file = written(tmp_path, "".join(lines) + flaser(13.0, robot=Pose(x, y, 0.4)))
+    if not in_degrees:
+        open_log(file)
+        return
+    with pytest.raises(
+        InputError, match=r"found headings of odometry up to .*, along which the robot goes if they are"
+    ):
+        open_log(file)
+    log = open_log(file, units=["headings=degrees"])
+    assert log.ticks[17].odometry.theta == pytest.approx(Pose(0.0, 0.0, 0.4 + 0.07 * 17).theta, abs=1e-5)
+
+
 @pytest.mark.parametrize("stamps", [(1.0, 1.5, 2.0), (3.0, 3.0, 3.0)])
 def test_raw_scans_have_the_odometry_between_the_lines_around_them(
     tmp_path: Path, stamps: tuple[float, float, float]

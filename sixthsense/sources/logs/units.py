@@ -20,8 +20,10 @@ _NAMES = {"ranges": _LENGTHS, "odometry": _LENGTHS, "angles": _ANGLES, "headings
 
 _MOST_TURN = 3.0 * math.pi
 """Beams span at most a full turn; some drivers send a few more."""
-_FASTEST, _FASTEST_RAD = 20.0, 20.0
-"""m/s and rad/s of a vehicle; a slow robot in centimetres is faster"""
+_FASTEST = 20.0
+"""m/s of a vehicle; a slow robot in centimetres is faster"""
+_ASIDE, _AHEAD = 0.5, 0.25
+"""Of the way that a robot on wheels goes: the share across a heading that is not its own, and across its own."""
 _COMPARED = 100  # scans, evenly over the log
 _FEWEST, _USUAL = 10, 0.9  # motions, and the share of them that are no jumps
 
@@ -78,17 +80,30 @@ def check_ranges(where: str, ranges: Sequence[NDArray[np.float32]]) -> None:
 
 def check_odometry(where: str, passed_s: Array, poses: Array) -> None:
     """Raise InputError for poses (N, 3), with (N - 1,) times between them, that can only be in another unit."""
-    steps = np.abs(np.diff(poses, axis=0))
+    steps = np.diff(poses, axis=0)
     moved = np.hypot(steps[:, 0], steps[:, 1])
-    for motions, fastest, what, unit, allowed in (
-        (moved, _FASTEST, "positions", "millimetres or centimetres",
-         "metres, or `units` odometry=mm or odometry=cm"),
-        (steps[:, 2], _FASTEST_RAD, "headings", "degrees", "radians, or `units` headings=degrees"),
-    ):  # fmt: skip
-        moves = (motions > 0.0) & np.isfinite(passed_s)
-        usual = motions[moves & (motions <= np.quantile(motions[moves], _USUAL))] if moves.any() else motions[moves]
-        speed = float(usual.sum() / max(passed_s[moves].sum(), 1e-9))
-        if len(usual) >= _FEWEST and speed > fastest:
-            raise InputError(
-                where, f"found {what} of odometry that change by {speed:.4g} a second, which are {unit}", allowed
-            )
+    moves = (moved > 0.0) & np.isfinite(passed_s)
+    if not moves.any():
+        return
+    is_usual = moves & (moved <= np.quantile(moved[moves], _USUAL))
+    if np.count_nonzero(is_usual) < _FEWEST:
+        return
+    speed = float(moved[is_usual].sum() / max(passed_s[moves].sum(), 1e-9))
+    if speed > _FASTEST:
+        raise InputError(
+            where,
+            f"found positions of odometry that change by {speed:.4g} a second, which are millimetres or centimetres",
+            "metres, or `units` odometry=mm or odometry=cm",
+        )
+    course, headings = np.arctan2(steps[is_usual, 1], steps[is_usual, 0]), poses[:-1][is_usual, 2]
+    across, by_degrees = (
+        float(moved[is_usual] @ np.abs(np.sin(course - unit * headings)) / moved[is_usual].sum())
+        for unit in (1.0, _ANGLES["degrees"])
+    )
+    if across > _ASIDE and by_degrees < _AHEAD:
+        most = float(np.abs(poses[:, 2]).max())
+        raise InputError(
+            where,
+            f"found headings of odometry up to {most:.4g}, along which the robot goes if they are degrees",
+            "radians, or `units` headings=degrees",
+        )
