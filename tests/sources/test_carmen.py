@@ -92,6 +92,15 @@ def test_a_damaged_line_costs_itself_and_is_counted(tmp_path: Path) -> None:
         read(tmp_path, bad[0], LASER)
 
 
+@pytest.mark.parametrize(("parts", "name"), [(1000, "milliseconds"), (10**6, "microseconds"), (1, "")])
+def test_stamps_in_a_part_of_a_second_are_read_as_that_with_a_note(tmp_path: Path, parts: int, name: str) -> None:
+    stamps = [1_100_000_000.25, 1_100_000_000.75, 1_100_000_002.5]
+    log = read(tmp_path, "".join(flaser(stamp * parts) for stamp in stamps), LASER)
+    assert [tick.stamp_ns for tick in log.ticks] == [round(stamp * 1e9) for stamp in stamps]
+    assert [tick.log_stamp_s for tick in log.ticks] == stamps
+    assert any(f"stamps are taken as {name} since 1970" in line for line in log.remarks()) == (parts > 1)
+
+
 def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:
     for seed in range(10):
         own = np.random.default_rng(seed).uniform(0.0, 1.0, 50).round(2)

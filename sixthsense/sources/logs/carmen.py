@@ -34,7 +34,7 @@ from sixthsense.sources.logs.laser_geometry import (
 )
 from sixthsense.sources.logs.log import Log, without_jumps
 from sixthsense.sources.logs.refused import Refused
-from sixthsense.sources.logs.stamps import from_zero_on, passed_s
+from sixthsense.sources.logs.stamps import from_zero_on, passed_s, unit_of
 from sixthsense.sources.logs.text_lines import LARGEST, Record, records, shown
 from sixthsense.sources.logs.units import SI, Units, check_bearings, check_odometry, check_ranges
 
@@ -99,6 +99,8 @@ class _Lines:
     params: dict[bytes, float] = field(default_factory=dict)
     """values of the parameters that describe the laser, m"""
     unmeasured: int = 0  # ranges that are negative or no number
+    stamps: tuple[int, str] | None = None
+    """parts of a second, and their name, that stamps are in, by the first one"""
 
 
 def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units = SI) -> Log:
@@ -113,7 +115,8 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
 
     Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Each scan has the beams
     and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
-    each has the stamp of its record, or 1 ns after the previous tick if that is later; stamps below 0 are moved. Raises
+    each has the stamp of its record, or 1 ns after the previous tick if that is later; stamps below 0 are moved. Stamps
+    that would be of a far future in seconds are in a part of a second. Raises
     InputError for a file that cannot be read, is no CARMEN log, is in other `units`, or has no scan with a return.
     """
     path, given = Path(file), laser or LaserConfig()
@@ -329,6 +332,9 @@ def _read_lines(path: Path, units: Units, remarks: list[str]) -> _Lines:
             refused.add("lines", error.at(error.where.removeprefix(f"{path} ")))
             if refused.count("lines") == count >= _MOST_DAMAGED:
                 break
+    if content.stamps is not None and content.stamps[0] > 1:
+        first_s = content.readings[0].stamp_s
+        remarks.append(f"stamps are taken as {content.stamps[1]} since 1970: the first as {first_s:.6f} s")
     damaged = refused.count("lines")
     if damaged and not any(reading.geometry is not None for reading in content.readings):
         raise InputError("", f"{path} {refused.first('lines')}")
@@ -347,7 +353,9 @@ def _take(content: _Lines, record: Record) -> None:
         content.unmeasured += int(np.count_nonzero(scan[2] < 0.0))
         scan[2][scan[2] < 0.0] = np.inf
         stamp = fields[-3]
-        content.readings.append(_Reading(kind, record.stamp_ns(stamp), float(stamp), *scan))
+        parts, unit = content.stamps or unit_of(record.parsed([stamp]))
+        content.readings.append(_Reading(kind, record.stamp_ns(stamp, parts), float(stamp) / parts, *scan))
+        content.stamps = parts, unit
     elif not _MESSAGE_NAME.fullmatch(kind):
         record.fail(f"found {shown(kind)}, allowed: a CARMEN message, as ODOM or FLASER")
     elif any(name.startswith(kind) for name in (*_SCANS, ODOM)):
