@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.verdict.evidence import Evidence, share
 from sixthsense.verdict.probability import MIRROR_SIGMAS
 from sixthsense.verdict.verdict import Cause
@@ -30,7 +30,7 @@ _FACTOR = 0.1  # by which wheels are wrong that is worth a word
 
 def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
     """The causes, what holds for the whole run first."""
-    whole = [*_mirrored(evidence), *_clocks(evidence), *_mount(evidence)]
+    whole = [*_mirrored(evidence), *_clocks(evidence), *_mount(evidence, found)]
     if any(cause.name == "mirrored" for cause in whole):
         return tuple(whole[:1])
     events = [*_carried(evidence, found), *_blind(evidence, found), *_slips(evidence, found)]
@@ -58,7 +58,7 @@ def _clocks(evidence: Evidence) -> Iterator[Cause]:
         yield _whole("clocks", told, evidence)
 
 
-def _mount(evidence: Evidence) -> Iterator[Cause]:
+def _mount(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     mount, turns = evidence.mount, evidence.turns
     if mount is None or turns is None or turns.correlation < 0.7:
         return
@@ -71,6 +71,9 @@ def _mount(evidence: Evidence) -> Iterator[Cause]:
         parts.append(f"turned {math.degrees(abs(off[2])):.0f}° to the {'left' if off[2] > 0.0 else 'right'}")
     if parts:
         told = f"by wheels and scans the laser is {' and '.join(parts)} than its mount is stated"
+        if (scan := next((one for one in found.scans if one is not None), None)) is not None:
+            fits = Pose(*off.tolist()) @ scan.T_robot_laser
+            told += f" (a mount of {fits.x:.2f} {fits.y:.2f} {fits.theta:.2f} fits)"
         yield _whole("mount", told, evidence)
 
 

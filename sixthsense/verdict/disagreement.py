@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.se2 import between, compose
 from sixthsense.verdict.views import SURFACE, THROUGH, Views, compared_at
 
@@ -113,7 +113,8 @@ def mount(found: Disagreement) -> Mount | None:
     """The mount that explains the motions best, by hand-eye calibration; None where too little is known.
 
     With the laser off by X the trajectory T that puts scans together moves by T, where the robot moves by W, as
-    W X = X T. For small X: (R_W - I) x = R_X t_T - s t_W, linear in x, the heading and the scale of the wheels.
+    W X = X T. For small X: (R_W - I) x = R_X t_T - s t_W, linear in x, the heading and the scale of the wheels. A
+    heading near a half turn is one near 0 with a negative scale.
     Weights are those of Huber, so that slips do not count.
     """
     known = np.isfinite(found.off).all(axis=1)
@@ -135,7 +136,10 @@ def mount(found: Disagreement) -> Mount | None:
         weights = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(off, 1e-9))) / spread
     information = (rows * weights[:, None]).T @ (rows * weights[:, None]) / usual**2
     cov = np.linalg.inv(information)
-    return Mount(np.asarray(values[:3], np.float64), np.sqrt(np.diag(cov)[:3]).astype(np.float64), float(values[3]))
+    offset, scale = np.asarray(values[:3], np.float64), float(values[3])
+    if scale < 0.0:  # a laser that looks back: R_X turned by pi changes the sign of x and of the scale
+        offset, scale = np.array([-offset[0], -offset[1], wrap_angle(offset[2] + math.pi)]), -scale
+    return Mount(offset, np.sqrt(np.diag(cov)[:3]).astype(np.float64), scale)
 
 
 class Turns(NamedTuple):
