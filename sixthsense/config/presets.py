@@ -36,7 +36,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8, "cut_false_alarm": 0.0},
         },
         # The report has no other rules than its two thresholds.
-        "association": {"match_gate": 20.0, "new_gate": 200.0, "pre_gate_m": 5.0, "new_separation_m": 0.0},
+        "association": {"match_gate": 20.0, "match_odds": 0.0, "new_gate": 200.0, "new_separation_m": 0.0},
         "grid": {"cell_m": 0.04},
         "follow": {"heading_slack_rad": 0.01, "distance_slack_m": 0.01},
         "max_time": 1800.0,
@@ -67,7 +67,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "lines": {"min_points": 3},
             "points": {"min_points": 3, "max_sigma_m": 0.25},
         },
-        "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2, "proposed_by": "scan-matching"},
+        "association": {"new_separation_m": 0.2, "proposed_by": "scan-matching"},
         "grid": {"no_return_passes": False},
     },
     # UTIAS MRCLAM. What differs between its robots is estimated on line; slip is what is left of a turn or a metre

@@ -229,10 +229,11 @@ class AssociationConfig(Section):
     match_gate: Positive = 13.8155
     """Squared Mahalanobis distance of a match, at most, given the other matches: 0.999 of chi-square with 2 degrees of
     freedom. An observation without a match counts as one at the gate."""
+    match_odds: NonNegative = 1000.0
+    """A match of a point is at least this many times likelier than an unknown point there, given the other matches; 0:
+    however likely."""
     new_gate: Positive = 27.631
     """Squared Mahalanobis distance of a new landmark from every known one, at least: 0.999999 of chi-square."""
-    pre_gate_m: Positive = 1.5
-    """Only landmarks this near an observation are compared with it."""
     new_separation_m: NonNegative = 0.3
     """A new landmark is at least this far from every known one."""
     known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0

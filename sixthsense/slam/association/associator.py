@@ -30,6 +30,7 @@ from sixthsense.slam.association.observed import (
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Crookedness, Footprint, Record, less_certain
 from sixthsense.slam.association.slip import matches_after_slip
+from sixthsense.slam.association.unknown import UnknownPoints
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 
 AreFree = Callable[[Array, float], Mask]
@@ -69,6 +70,7 @@ class Associator:
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
         self._scatter = Scatter()
+        self._unknown = UnknownPoints()
         self._prior, self._are_free = frozenset(self.records), are_free
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
 
@@ -86,16 +88,20 @@ class Associator:
         for observation in observations:
             self._crookedness.add(observation.shape)
         observed = Observed.of(observations)
+        is_point = ~observed.walls
+        points = observed.z[is_point]
+        log_unknown = self._unknown.log_density(points)
         extents, excess = self._extents(estimate) if proposed is None else proposed.extents, self._crookedness.excess
 
         def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents, self.records, excess, self._config)
+            return match(observed, belief, estimate, extents, self.records, excess, log_unknown, self._config)
 
         slip = None
         if proposed is None:
             matches, slip = matches_after_slip(at, estimator, estimate, self._config.new_gate)
         else:
             matches = at(proposed, proposed.estimate())
+        self._unknown.add(points, matches.landmark[is_point] < 0)
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
         updated = estimate.pose if proposed is not None else matches.pose

@@ -14,7 +14,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovation, innovations_of, predictions
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.se2 import Triple
-from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, squared_given
+from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, likely_matches, squared_given
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record, unit_cov
 from sixthsense.slam.estimators.base import Belief, Estimate
@@ -178,13 +178,14 @@ def match(
     extents: Array,
     records: Mapping[LandmarkId, Record],
     excess: tuple[float, float],
+    log_unknown: float,
     cfg: AssociationConfig,
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
     `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
-    its walls, and `excess` says how crooked walls are in the mean. The `records` of landmarks that were compared are
-    told how certain these are.
+    its walls, `excess` says how crooked walls are in the mean, and `log_unknown` how dense unknown points are. The
+    `records` of landmarks that were compared are told how certain these are.
     """
     m = len(observed.z)
     own = [records[i] for i in estimate.ids.tolist()]
@@ -203,6 +204,8 @@ def match(
     gaps, plausible = distances.gap_m[:, near], plausible[:, near]
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
+    least = log_unknown + (math.log(cfg.match_odds) if cfg.match_odds > 0.0 else -math.inf)
+    found = likely_matches(innovations.pairs, found, innovations.walls, least)
     is_matched = found >= 0
     is_far = ~is_matched & (squared_given(innovations.pairs, plausible, found).min(axis=1) > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)

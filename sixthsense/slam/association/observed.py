@@ -94,8 +94,8 @@ class Distances(NamedTuple):
         """
         widest = math.sqrt(max(cfg.match_gate, cfg.new_gate))
         turn = max(widest * heading_sigma, _PARALLEL_RAD)
-        of_walls = np.minimum(np.maximum(widest * sigmas, cfg.new_separation_m), cfg.pre_gate_m)[:, None]
-        of_points = np.minimum(widest * (sigmas[:, None] + 2.0 * known), cfg.pre_gate_m)
+        of_walls = np.maximum(widest * sigmas, cfg.new_separation_m)[:, None]
+        of_points = widest * (sigmas[:, None] + 2.0 * known)
         near = self.metres < np.where(self.length_m[:, None] > 0.0, of_walls, of_points)
         return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < WALL_GAP_M))
 

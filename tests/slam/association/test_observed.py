@@ -22,7 +22,7 @@ from sixthsense.slam.association.records import (
 )
 from sixthsense.slam.estimators.base import Estimate
 
-CONFIG = AssociationConfig(pre_gate_m=1.1, new_separation_m=0.45)
+CONFIG = AssociationConfig(new_separation_m=0.45)
 POSE = Pose(-1.7, 2.3, 2.6)
 
 
@@ -68,7 +68,7 @@ def test_distances_from_landmarks_and_what_they_allow_are_those_of_plain_geometr
                 assert found.metres[i, j] == math.inf and apart[i, j] and not plausible[i, j]
                 continue
             away, turn, gap = math.dist(POSE @ one.z, landmark), 0.0, -math.inf
-            limit = min(widest * (sigmas[i] + 2.0 * known[j]), 1.1)
+            limit = widest * (sigmas[i] + 2.0 * known[j])
             if one.is_wall:
                 normal = np.array([math.cos(landmark[0]), math.sin(landmark[0])])
                 along = np.array([-normal[1], normal[0]])
@@ -76,7 +76,7 @@ def test_distances_from_landmarks_and_what_they_allow_are_those_of_plain_geometr
                 turn = abs(wrap_angle(one.z[0] + POSE.theta - landmark[0]))
                 a, b = sorted(points @ along), sorted(extents[j] @ along)
                 gap = max(a[0], b[0]) - min(a[1], b[1])
-                limit = min(max(widest * sigmas[i], 0.45), 1.1)
+                limit = max(widest * sigmas[i], 0.45)
             assert (found.metres[i, j], found.turn_rad[i, j], found.gap_m[i, j]) == pytest.approx((away, turn, gap))
             assert apart[i, j] == (away > 0.45 or turn >= 0.15 or gap >= 0.05)
             assert plausible[i, j] == (away < limit and turn < max(0.05 * widest, 0.15) and gap < 0.05)
