@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numba
@@ -17,6 +18,20 @@ def chi_square_quantile(probability: float, dof: Any) -> Any:
     The bits are those of `scipy.stats.chi2.ppf`, whose import takes most of a second.
     """
     return 2.0 * gammaincinv(0.5 * dof, probability)
+
+
+SIGNIFICANT = 3.0
+"""sigmas, beyond which a deviation is not taken for chance"""
+
+
+def mean_square_limit(count: float, sigmas: float = SIGNIFICANT) -> float:
+    """What the mean of `count` squares of standard normals exceeds as seldom as a normal exceeds `sigmas`.
+
+    For negative `sigmas` it is what the mean falls below as seldom. Wilson and Hilferty, "The distribution of
+    chi-square", PNAS 17, 1931.
+    """
+    var = 2 / (9 * count)
+    return float(max(0.0, 1.0 - var + sigmas * math.sqrt(var)) ** 3)
 
 
 COVARIANCE_SLACK = 1e-9

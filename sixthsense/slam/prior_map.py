@@ -12,13 +12,12 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
+from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
-
-_SIGMAS = 3.0  # the start may be this far from where it is said to be
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,7 @@ def check_usable(prior: PriorMap, config: Config) -> None:
 
 def _check_start(prior: PriorMap, start: Pose, start_cov: Array) -> None:
     seen = (prior.evidence.cells[prior.evidence.seen][:, ::-1] + 0.5) * prior.cell_m  # (N, 2) centres
-    reach_m = _SIGMAS * math.sqrt(float(start_cov[:2, :2].trace())) + 2.0 * prior.cell_m
+    reach_m = SIGNIFICANT * math.sqrt(float(start_cov[:2, :2].trace())) + 2.0 * prior.cell_m
     if not len(seen) or np.hypot(*(seen - start.position).T).min() > reach_m:
         found = f"found ({start.x:.2f}, {start.y:.2f}), outside the prior map {prior.name}"
         raise InputError("pose", found, "a place that it has seen")

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.covariance import chi_square_quantile
+from sixthsense.core.covariance import SIGNIFICANT, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.corners import Scatter
@@ -38,8 +38,6 @@ AreFree = Callable[[Array, float], Mask]
 
 CULL_PERIOD = 25
 """keyframes between two looks for landmarks to forget: the robot has turned around or left the room"""
-_SIGMAS = 3.0
-"""of the pose, within which no obstacle may be where a landmark is gone"""
 _PARTS = 10
 """of a wall's extent, at whose limits the map is asked"""
 
@@ -180,7 +178,7 @@ class Associator:
 
     def _vanished(self, estimate: Estimate) -> list[LandmarkId]:
         """Landmarks of a prior map that were not seen for a period, where the map shows the most of them free."""
-        within_m = _SIGMAS * math.sqrt(estimate.pose_cov[0, 0] + estimate.pose_cov[1, 1])
+        within_m = SIGNIFICANT * math.sqrt(estimate.pose_cov[0, 0] + estimate.pose_cov[1, 1])
         gone: list[LandmarkId] = []
         for i, landmark, is_wall in zip(estimate.ids.tolist(), estimate.landmarks, estimate.walls, strict=True):
             record = self.records.get(i) if i in self._prior else None

@@ -18,17 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sixthsense.core.covariance import SIGNIFICANT, mean_square_limit
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import Bend, Observation
 
+MEMORY = 500.0
+"""observations, or pairs of them in a class, over which an error of shape is averaged"""
 _SIDE_RAD = 0.2
 """turn of the side that a point is seen from, after which its error looks another by 1 / e"""
 _CLASSES = 5
 """of the angle between a beam and the axis of the largest error, by its cosine"""
-_SIGNIFICANT = 3.0
-"""sigmas below which the scatter says that all of the error is new"""
-_MEMORY = 500.0
-"""pairs of observations in a class over which the scatter is averaged"""
 _INDEPENDENT = 2.0 / 3.0
 """squares of differences that share an observation with the next, each, count as so many: these have a correlation of
 1/4"""
@@ -84,25 +83,16 @@ class Scatter:
             return
         off = float(now.axis @ (now.place - before.place))
         square, k = off * off / float(now.axis @ (before.cov + now.cov) @ now.axis), now.incidence
-        keep = 1.0 - 1.0 / _MEMORY
+        keep = 1.0 - 1.0 / MEMORY
         self._counts[k] = keep * self._counts[k] + 1.0
         self._squares[k] = keep * self._squares[k] + min(square, _LARGEST)
 
     def share(self, incidence: int) -> float:
         """Share, 0 to below 1, of the variance along the axis that stays; 0 where the scatter is not too small."""
         count, square = self._counts[incidence], self._squares[incidence]
-        if count < 1.0 or square >= count * _least_mean_square(_INDEPENDENT * count):
+        if count < 1.0 or square >= count * mean_square_limit(_INDEPENDENT * count, -SIGNIFICANT):
             return 0.0
         return 1.0 - (square + 1.0) / (count + 1.0)  # some of the error is always new
-
-
-def _least_mean_square(count: float) -> float:
-    """What the mean of `count` squares of standard normals seldom falls below: as a normal does `_SIGNIFICANT` sigmas.
-
-    Wilson and Hilferty, "The distribution of chi-square", PNAS 17, 1931.
-    """
-    var = 2.0 / (9.0 * count)
-    return max(0.0, 1.0 - var - _SIGNIFICANT * math.sqrt(var)) ** 3
 
 
 class Corner:

@@ -18,22 +18,19 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from sixthsense.core.covariance import SIGNIFICANT, mean_square_limit
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Bend, Kind, LandmarkId, Observation, WallShape
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.corners import Corner
+from sixthsense.slam.association.corners import MEMORY, Corner
 from sixthsense.slam.association.observed import ends, joined
 
-_SIGNIFICANT = 3.0
-"""sigmas below which a mean shape, or the mean over all walls, says that walls are straight"""
 _TILT = 3.0
 """variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
 _LARGEST = 25.0
 """of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
 _SIDE_RAD = 0.5
 """turn of the side that a wall is seen from, after which its shape looks another by 1 / e"""
-_MEMORY = 500.0
-"""observations of walls over which their mean crookedness is taken"""
 
 
 class Footprint(NamedTuple):
@@ -62,7 +59,7 @@ class Crookedness:
         """Take the shape of an observation; older ones are forgotten gradually."""
         for k, (c, var) in enumerate(zip(shape.amplitudes_m, shape.variances_m2, strict=True)):
             if math.isfinite(var):
-                keep = 1.0 - 1.0 / _MEMORY
+                keep = 1.0 - 1.0 / MEMORY
                 self._counts[k] = keep * self._counts[k] + 1.0
                 self._squares[k] = keep * self._squares[k] + min(c * c / var, _LARGEST)
 
@@ -70,19 +67,10 @@ class Crookedness:
     def excess(self) -> tuple[float, float]:
         """Variances of both amplitudes of an unknown wall over those of the laser's noise; 0: straight."""
         first, second = (
-            max(0.0, square / count - _mean_square_limit(count)) if count >= 1.0 else 0.0
+            max(0.0, square / count - mean_square_limit(count)) if count >= 1.0 else 0.0
             for square, count in zip(self._squares, self._counts, strict=True)
         )
         return first, second
-
-
-def _mean_square_limit(count: float) -> float:
-    """What the mean of `count` squares of standard normals exceeds as seldom as a normal exceeds `_SIGNIFICANT` sigmas.
-
-    Wilson and Hilferty, "The distribution of chi-square", PNAS 17, 1931.
-    """
-    var = 2.0 / (9.0 * count)
-    return float((1.0 - var + _SIGNIFICANT * math.sqrt(var)) ** 3)
 
 
 @dataclass(slots=True)
@@ -117,7 +105,7 @@ class MeanShape:
                 prior = prior_ratio * self.observations * var
                 share = prior / (prior + var)
                 expected = share * share * mean_sq + share * var
-                total += max(expected, mean_sq - _SIGNIFICANT**2 * var)
+                total += max(expected, mean_sq - SIGNIFICANT**2 * var)
         return total
 
 

@@ -13,10 +13,9 @@ import numba
 import numpy as np
 
 from sixthsense.config.sections import LaserNoise
+from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
-
-_SIGMAS = 3.0
 
 
 def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, longest_m: float) -> Array:
@@ -50,7 +49,7 @@ def _straight_gaps(
         variance = 0.0
         for weight, value in ((share_a, q_a), (1.0, q), (share_c, q_c)):
             variance += weight * weight * ((sigmas[0] * value * value) ** 2 + (sigmas[1] * slope) ** 2)
-        is_straight[i] = abs(share_a * q_a + share_c * q_c - q) <= _SIGMAS * math.sqrt(variance)
+        is_straight[i] = abs(share_a * q_a + share_c * q_c - q) <= SIGNIFICANT * math.sqrt(variance)
     gaps = np.empty((n, 2, 2))
     count = 0
     for i in range(n if closed else n - 1):

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.se2 import (
     Triple,
@@ -57,7 +58,6 @@ _CHANCE, _THROUGH = 0.15, 0.4  # share of judged returns that lie on lines, and 
 _LEAST_SHARE = 0.01  # that is usually seen through
 _NEWEST_SHARE = 0.02  # of the newest scan in what is usual
 _SURFACE = 5.0  # neighbouring returns that are of one surface: they tell about a pose together
-_SEARCHED_SIGMAS = 3.0  # half the side of the window that is searched
 LEAST_SCORE = 0.3  # share of the returns that a submap must explain where a scan is searched
 _MOST = 8  # places in the submap that are looked at
 NEAREST = 3  # keyframes that a scan is aligned with at a place
@@ -259,7 +259,7 @@ def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
     best = _judged(found, prior, usual, is_guess)
     if len(own) and len(targets):
         points = submap_points(returns, targets, between(prior.pose, at), VOXEL_M)
-        window = Window(np.zeros(3), _SEARCHED_SIGMAS * SLIP_M, _SEARCHED_SIGMAS * SLIP_RAD)
+        window = Window(np.zeros(3), SIGNIFICANT * SLIP_M, SIGNIFICANT * SLIP_RAD)
         loose = Prior(prior.pose, np.diag([SLIP_M**-2, SLIP_M**-2, SLIP_RAD**-2]))
         for row in peaks(pyramid(points), own, window, LEAST_SCORE, PLACE, _MOST):
             place = compose(prior.pose, row[1:])
