@@ -76,7 +76,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     T_world_map = Pose(*stated.origin)
 
     image = file.parent / Path(stated.image).expanduser()
-    values, is_transparent = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
+    values, is_transparent, low = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
@@ -112,7 +112,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     check_count(str(image), len(corners))
     following = np.arange(1, len(corners) + 1)
     following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
-    corners_world = T_world_map @ np.asarray((corners - beyond) * stated.resolution, dtype=np.float64)
+    corners_world = T_world_map @ np.asarray((corners - beyond + low) * stated.resolution, dtype=np.float64)
     return np.stack([corners_world, corners_world[following]], axis=1), tuple(notes)
 
 
@@ -147,8 +147,12 @@ def _read_value(key: Any, text: Any) -> Any:
     return text.lower() if key in ("negate", "mode") and isinstance(text, str) else text
 
 
-def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """The image's pixels (H, W, channels), 0 to 255, and (H, W) which are transparent, if only in part."""
+def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArray[np.bool_], tuple[int, int]]:
+    """The image's pixels (H, W, channels), 0 to 255, (H, W) which are transparent, if only in part, and the first ones.
+
+    Of a huge image with a margin of one colour only what lies within is read, from the last value on: columns from the
+    left and rows from below.
+    """
     from PIL import Image
 
     try:
@@ -156,21 +160,26 @@ def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArra
             raise InputError(path, "is a folder, a pipe or a device", "an image file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(path, formats=_FORMATS)
+            image: Image.Image = Image.open(path, formats=_FORMATS)
         with image:
             width, height = image.size
+            low = (0, 0)
             if width * height > MAX_PIXELS:
-                raise InputError(path, f"found {width} x {height} pixels", f"{MAX_PIXELS:,} in all")
+                left, top, right, bottom = _within_margin(np.asarray(image.convert("L")))
+                if (right - left) * (bottom - top) > MAX_PIXELS:
+                    allowed = f"{MAX_PIXELS:,} in all, without a margin of one colour"
+                    raise InputError(path, f"found {width} x {height} pixels", allowed)
+                image, low = image.crop((left, top, right, bottom)), (left, height - bottom)
             if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
                 grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
-                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_)
+                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_), low
             alpha = "A" in image.getbands() or "transparency" in image.info
             if image.mode in ("1", "L") and not alpha:
                 grey = np.asarray(image.convert("L"))
-                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_)
+                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_), low
             pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
             is_transparent = pixels[:, :, -1] < 255 if alpha else np.zeros(pixels.shape[:2], dtype=np.bool_)
-            return pixels if with_alpha else pixels[:, :, :3], is_transparent
+            return pixels if with_alpha else pixels[:, :, :3], is_transparent, low
     except InputError:
         raise
     except Image.DecompressionBombError:
@@ -181,6 +190,17 @@ def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArra
         # strerror omits the file's name
         reason = (isinstance(error, OSError) and error.strerror) or reason_of(error, _LONGEST_REASON)
         raise InputError(path, f"not a readable image ({reason})", f"{', '.join(_FORMATS)}") from None
+
+
+def _within_margin(grey: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of what lies within a margin of one colour (H, W), with a cell of it on each side."""
+    differs = grey != grey[0, 0]
+    (top, bottom), (left, right) = (
+        (max(int(found[0]) - 1, 0), min(int(found[-1]) + 2, len(any_of)))
+        for any_of in (differs.any(axis=1), differs.any(axis=0))
+        for found in [np.flatnonzero(any_of) if any_of.any() else np.array([0])]
+    )
+    return left, top, right, bottom
 
 
 def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

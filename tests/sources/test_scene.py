@@ -222,6 +222,21 @@ def test_a_map_with_a_field_that_is_not_allowed_is_refused(tmp_path: Path, field
         load_scene(write_map(tmp_path, np.full((4, 6), 254), **fields))
 
 
+def test_a_huge_map_is_read_within_its_margin_and_refused_without_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pixels = np.full((60, 90), 205)
+    pixels[12:30, 20:47] = 254
+    pixels[12, 20:47] = pixels[15:19, 31:40] = 0
+    file = write_map(tmp_path, pixels, origin="[-1.3, 2.7, 0.4]")
+    whole = load_scene(file, "free")
+    monkeypatch.setattr("sixthsense.sources.ros_map.MAX_PIXELS", 20 * 29)
+    assert sides(load_scene(file, "free")) == sides(whole)
+    monkeypatch.setattr("sixthsense.sources.ros_map.MAX_PIXELS", 20 * 29 - 1)
+    with pytest.raises(InputError, match="found 90 x 60 pixels, allowed: 579 in all, without a margin of one colour"):
+        load_scene(file)
+
+
 def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     grey = rng.choice(np.array([0, 60, 120, 205, 254], np.uint8), (20, 30))
