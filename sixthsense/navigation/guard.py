@@ -1,12 +1,15 @@
-"""The guard: slows or stops every command by which the robot would touch a return of the latest scan.
+"""The guard: slows or stops every command by which the robot would touch a return of the latest scans.
 
-It uses neither map nor pose, only the returns of the latest scan, the odometry since, the robot's disc and its
-deceleration. A disc that turns on the spot touches nothing, so turning is always allowed.
+It uses neither map nor pose, only the returns of the scans of the last second, the odometry since, the robot's disc and
+its deceleration. From the latest scan the robot keeps a buffer. Its beams pass the end of a thin wall that they look
+along; the scans before, from elsewhere, have met it. A disc that turns on the spot touches nothing, so it may always
+turn.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numba
@@ -24,6 +27,8 @@ BUFFER_M = 0.02
 """added to the robot's radius: twice the noise of a range, and the slip of a robot that turns"""
 CREEP = 0.1
 """lowest speed, m/s, to which obstacles beside the robot's arc slow it: it stops within a tick"""
+_REMEMBERED_S = 1.0
+"""of scans before the latest one, whose returns the robot does not touch"""
 _NOTHING = np.zeros((0, 2))
 
 
@@ -33,6 +38,8 @@ class GuardLimits(NamedTuple):
     is_on: bool
     radius_m: float
     """of the robot's disc, with the buffer"""
+    radius_to_earlier_m: float
+    """the same towards returns of earlier scans, without: the least of many is off by more noise than one"""
     radius_to_bodies_m: float
     """the same towards what moves"""
     latency_s: float
@@ -50,6 +57,8 @@ class Returns(NamedTuple):
     """(N, 2) all returns"""
     moving: Array
     """(M, 2) those that move"""
+    earlier: Array
+    """(K, 2) those near the robot of the scans before, in the frame of the guard's odometry"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -118,10 +127,9 @@ def _limits(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _return_points(
-    ranges: NDArray[np.float32], bearings: Array, max_range: float, mx: float, my: float, mtheta: float
-) -> Array:
-    """(K, 2) the returns, in the frame in which the laser stands at (mx, my, mtheta)."""
+def _return_points(ranges: NDArray[np.float32], bearings: Array, max_range: float, laser: Triple) -> Array:
+    """(K, 2) the returns nearer than `max_range`, in the frame in which the laser stands at a pose."""
+    mx, my, mtheta = laser
     points = np.empty((len(ranges), 2))
     k = 0
     for i in range(len(ranges)):
@@ -143,12 +151,18 @@ def _speed_within(distance_m: float, limits: GuardLimits) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def checked(
-    command: tuple[float, float], since: Triple, returns: Returns, waits_for_moving: bool, limits: GuardLimits
+    command: tuple[float, float],
+    since: Triple,
+    at: Triple,
+    returns: Returns,
+    waits_for_moving: bool,
+    limits: GuardLimits,
 ) -> tuple[float, float, bool, bool]:
     """Speed and turn rate of a command, slowed or stopped as `Guard.check` says, and whether it was stopped.
 
-    `since` is the motion since the latest scan. The last result says whether what moves is nearest in the way of the
-    latest command that drives; `waits_for_moving` is the same of the one before.
+    `since` is the motion since the latest scan, and `at` the robot's pose in the frame of the guard's odometry. The
+    last result says whether what moves is nearest in the way of the latest command that drives; `waits_for_moving` is
+    the same of the one before.
     """
     v, w = command
     if not limits.is_on:
@@ -157,6 +171,9 @@ def checked(
     speed = abs(v)
     reach = stopping_distance(speed, limits.latency_s, limits.deceleration)
     contact, gap = _limits(returns.points, x, y, theta, v, w, limits.radius_m, reach)
+    x, y, theta = at
+    contact = min(contact, _limits(returns.earlier, x, y, theta, v, w, limits.radius_to_earlier_m, reach)[0])
+    x, y, theta = since
     waits_for_moving = False
     if len(returns.moving):
         to_body, body_gap = _limits(returns.moving, x, y, theta, v, w, limits.radius_to_bodies_m, reach)
@@ -184,6 +201,7 @@ class Guard:
         self.limits = GuardLimits(
             bool(config.safety.guard),
             float(radius_m + BUFFER_M),
+            float(radius_m),
             float(radius_m + BUFFER_M + BODY_M),
             float(latency_s(config)),
             float(config.robot.deceleration),
@@ -191,18 +209,27 @@ class Guard:
         )
         """what it allows"""
         self._scan: Scan | None = None  # the latest one, until its returns are needed
-        self._returns = Returns(_NOTHING, _NOTHING)
-        self._since = Pose()
+        self._returns = Returns(_NOTHING, _NOTHING, _NOTHING)
+        self._since = self._at = Pose()
+        period_s, speed = config.laser.period_ticks * config.robot.control_period_s, float(config.robot.speed)
+        self._before: deque[tuple[Scan, Pose]] = deque(maxlen=math.ceil(_REMEMBERED_S / period_s) + 1)
+        """the latest scan and those before, and where the robot stood, frame of the guard's odometry"""
+        braking_m = stopping_distance(speed, self.limits.latency_s, self.limits.deceleration)
+        self._near_m = float(radius_m + braking_m + speed * _REMEMBERED_S)
+        """range of the earlier returns that it can touch"""
         self._stopped = False
 
     def moved(self, motion: Pose) -> None:
         """Take in the motion of a control tick from odometry, `T_before_after`."""
-        self._since = self._since @ motion
+        self._since, self._at = self._since @ motion, self._at @ motion
 
     def see(self, scan: Scan, moving_robot: Array = _NOTHING) -> None:
         """Take in a scan from the robot's present pose, and those of its returns (M, 2), robot's frame, that move."""
         self._scan, self._since = scan, Pose()
-        self._returns = Returns(_NOTHING, np.ascontiguousarray(moving_robot))
+        if len(self._returns.moving):
+            self._before.clear()  # what moves was elsewhere
+        self._before.append((scan, self._at))
+        self._returns = Returns(_NOTHING, np.ascontiguousarray(moving_robot), _NOTHING)
 
     @property
     def stopped(self) -> bool:
@@ -221,10 +248,11 @@ class Guard:
         if command.speed == 0.0:
             self._stopped = False
             return command
-        since, before = self._since, self._stopped
+        before = self._stopped
         speed, turn_rate, self._stopped, self.waits_for_moving = checked(
             (float(command.speed), float(command.turn_rate)),
-            (since.x, since.y, since.theta),
+            self._since.triple(),
+            self._at.triple(),
             self.returns(),
             self.waits_for_moving,
             self.limits,
@@ -233,9 +261,13 @@ class Guard:
         return Command(speed, turn_rate)
 
     def returns(self) -> Returns:
-        """The returns of the latest scan, in the robot's frame there."""
+        """The returns of the latest scan and of those before."""
         if self._scan is not None:
-            scan, mount = self._scan, self._scan.T_robot_laser
-            points = _return_points(scan.ranges, scan.bearings, scan.max_range, mount.x, mount.y, mount.theta)
-            self._returns, self._scan = Returns(points, self._returns.moving), None
+            scan, self._scan = self._scan, None
+            points = _return_points(scan.ranges, scan.bearings, scan.max_range, scan.T_robot_laser.triple())
+            earlier = [
+                _return_points(each.ranges, each.bearings, min(each.max_range, self._near_m), laser.triple())
+                for each, laser in ((each, at @ each.T_robot_laser) for each, at in [*self._before][:-1])
+            ]
+            self._returns = Returns(points, self._returns.moving, np.concatenate([_NOTHING, *earlier]))
         return self._returns

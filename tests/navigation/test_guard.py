@@ -206,7 +206,20 @@ def test_the_motion_since_the_scan_counts_until_the_next_one() -> None:
     guard.moved(motion)
     gap = float(np.linalg.norm((motion @ motion).inverse() @ point)) - KEPT_M
     assert guard.check(ARC).speed == pytest.approx(fastest(gap), rel=1e-5)
-    guard.see(Scan.from_config(np.full(360, np.inf), CONFIG.laser))
+    # The next scan does not see the return: it is kept from without the buffer, for a second.
+    at = (motion @ motion).inverse() @ point
+    for k in range(12):
+        guard.see(Scan.from_config(np.full(360, np.inf), OWN.laser))
+        is_remembered = k < math.ceil(1.0 / (OWN.laser.period_ticks * OWN.robot.control_period_s))
+        contact = marched(at[None], ARC, RADIUS, 9.0) if is_remembered else math.inf
+        limit = fastest(contact) if math.isfinite(contact) else math.inf
+        assert guard.check(ARC).speed == pytest.approx(min(limit, ARC.speed), rel=6e-3)  # steps of 1 mm
+
+
+def test_what_moved_is_forgotten_with_the_next_scan() -> None:
+    guard = seen_at(KEPT_M + 0.01, 0.1, moves=True)
+    assert guard.check(ARC).speed == 0.0
+    guard.see(Scan.from_config(np.full(360, np.inf), OWN.laser))
     assert guard.check(ARC) == ARC
 
 
@@ -290,5 +303,6 @@ def test_a_stopped_robot_waits_half_a_second_and_three_for_someone_before_it_see
         for k in range(40):
             assert pilot.command(Pose(), round((begin_s + 0.1 * k) * 1e9)).speed == 0.0
         assert told[0] == pytest.approx(told_s + begin_s - 0.7)
-        pilot.guard.see(Scan.from_config(np.full(360, np.inf), CONFIG.laser))
+        for _ in range(12):  # a second
+            pilot.guard.see(Scan.from_config(np.full(360, np.inf), CONFIG.laser))
         assert pilot.command(Pose(), round((begin_s + 4.0) * 1e9)) == Command(0.5, 0.1)
