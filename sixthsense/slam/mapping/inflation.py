@@ -72,15 +72,20 @@ def near_points(shape: tuple[int, int], points: Array, distance: float) -> Bools
     Places are the middles of the parts that a cell's sides are divided into: three, less than the noise of a range.
     """
     height, width = shape
-    near = np.zeros((height, width), dtype=np.uint16)  # a bit for each part of a cell
+    parts = np.zeros((3 * height, 3 * width), dtype=np.bool_)
     fine = 3.0 * distance
     for k in range(len(points)):
         row, col = 3.0 * points[k, 0] - 0.5, 3.0 * points[k, 1] - 0.5
         for r in range(max(math.ceil(row - fine), 0), min(math.floor(row + fine) + 1, 3 * height)):
             half = math.sqrt(max(fine * fine - (r - row) ** 2, 0.0))
-            for c in range(max(math.ceil(col - half), 0), min(math.floor(col + half) + 1, 3 * width)):
-                near[r // 3, c // 3] |= 1 << (r % 3 * 3 + c % 3)
-    return np.asarray(near == (1 << 9) - 1)
+            first, past = max(math.ceil(col - half), 0), min(math.floor(col + half) + 1, 3 * width)
+            for c in range(first, past):
+                parts[r, c] = True
+    near = np.ones((height, width), dtype=np.bool_)
+    for r in range(3 * height):
+        for c in range(width):
+            near[r // 3, c] &= parts[r, 3 * c] & parts[r, 3 * c + 1] & parts[r, 3 * c + 2]
+    return near
 
 
 def too_near(obstacles: Bools, radius: float) -> Bools:
