@@ -212,8 +212,11 @@ class Guard:
         self._returns = Returns(_NOTHING, _NOTHING, _NOTHING)
         self._since = self._at = Pose()
         period_s, speed = config.laser.period_ticks * config.robot.control_period_s, float(config.robot.speed)
-        self._before: deque[tuple[Scan, Pose]] = deque(maxlen=math.ceil(_REMEMBERED_S / period_s) + 1)
-        """the latest scan and those before, and where the robot stood, frame of the guard's odometry"""
+        count = math.ceil(_REMEMBERED_S / period_s)
+        self._before: deque[Array] = deque(maxlen=count)
+        """(K, 2) near returns of each scan before the latest one, frame of the guard's odometry"""
+        self._waiting: deque[tuple[Scan, Pose]] = deque(maxlen=count + 1)
+        """scans up to the latest one whose returns were not needed yet, and where the robot stood"""
         braking_m = stopping_distance(speed, self.limits.latency_s, self.limits.deceleration)
         self._near_m = float(radius_m + braking_m + speed * _REMEMBERED_S)
         """range of the earlier returns that it can touch"""
@@ -228,7 +231,8 @@ class Guard:
         self._scan, self._since = scan, Pose()
         if len(self._returns.moving):
             self._before.clear()  # what moves was elsewhere
-        self._before.append((scan, self._at))
+            self._waiting.clear()
+        self._waiting.append((scan, self._at))
         self._returns = Returns(_NOTHING, np.ascontiguousarray(moving_robot), _NOTHING)
 
     @property
@@ -265,9 +269,9 @@ class Guard:
         if self._scan is not None:
             scan, self._scan = self._scan, None
             points = _return_points(scan.ranges, scan.bearings, scan.max_range, scan.T_robot_laser.triple())
-            earlier = [
-                _return_points(each.ranges, each.bearings, min(each.max_range, self._near_m), laser.triple())
-                for each, laser in ((each, at @ each.T_robot_laser) for each, at in [*self._before][:-1])
-            ]
-            self._returns = Returns(points, self._returns.moving, np.concatenate([_NOTHING, *earlier]))
+            while len(self._waiting) > 1:
+                before, at = self._waiting.popleft()
+                near_m, laser = min(before.max_range, self._near_m), (at @ before.T_robot_laser).triple()
+                self._before.append(_return_points(before.ranges, before.bearings, near_m, laser))
+            self._returns = Returns(points, self._returns.moving, np.concatenate([_NOTHING, *self._before]))
         return self._returns
