@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from sixthsense.config import Config, merge, preset
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
@@ -143,9 +143,10 @@ def fastest(distance: float) -> float:
     return float(brentq(lambda speed: distance_to_stop(speed) - distance, 0.0, 9.0, xtol=1e-14))
 
 
-def seen_at(distance: float, bearing: float, moves: bool = False) -> Guard:
+def seen_at(distance: float, bearing: float, moves: bool = False, before: Pose | None = None) -> Guard:
     """A guard that has seen one return, in the robot's frame, by a laser that is mounted aside and turned."""
     guard, mount = Guard(OWN, RADIUS), Pose(*OWN.laser.mount)
+    guard.moved(before or Pose())
     point = distance * np.array([math.cos(bearing), math.sin(bearing)])
     x, y = mount.inverse() @ point
     row = np.array([math.hypot(x, y), np.inf], dtype=np.float32)
@@ -214,6 +215,18 @@ def test_the_motion_since_the_scan_counts_until_the_next_one() -> None:
         contact = marched(at[None], ARC, RADIUS, 9.0) if is_remembered else math.inf
         limit = fastest(contact) if math.isfinite(contact) else math.inf
         assert guard.check(ARC).speed == pytest.approx(min(limit, ARC.speed), rel=6e-3)  # steps of 1 mm
+
+
+def test_an_earlier_return_is_where_odometry_has_left_it() -> None:
+    far, bearing = 0.44, 0.45
+    guard, point = seen_at(far, bearing, before=Pose(0.3, -0.2, 1.1)), far * rotation(bearing)[:, 0]
+    onward, turn = Pose(0.05, -0.03, 0.25), Pose(0.06, 0.02, 0.2)
+    guard.moved(onward)
+    guard.see(Scan.from_config(np.full(360, np.inf), OWN.laser))
+    guard.moved(turn)
+    contact = marched(((onward @ turn).inverse() @ point)[None], ARC, RADIUS, 9.0)
+    assert 0.05 < contact < distance_to_stop(ARC.speed)
+    assert guard.check(ARC).speed == pytest.approx(fastest(contact), rel=6e-3)
 
 
 def test_what_moved_is_forgotten_with_the_next_scan() -> None:
