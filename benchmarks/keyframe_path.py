@@ -23,6 +23,7 @@ import sixthsense
 from sixthsense.config import Config, preset
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.slam.slam import Slam
+from sixthsense.sources.logs.log import Playback
 from sixthsense.sources.mission import mission_of
 from sixthsense.sources.replay_input import open_recorded
 
@@ -67,7 +68,7 @@ def source_of(scene: str | None) -> tuple[Source, Config]:
         config, mission = mission_of(preset(scene=scene), None)
         return mission.world(config), config
     found = open_recorded(data_path("intel/intel.clf.bz2"), preset("log"))
-    return found.log, found.config
+    return Playback(found.log.ticks), found.config
 
 
 def main() -> int:
