@@ -68,7 +68,7 @@ class Associator:
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
         self._scatter = Scatter()
-        self._unknown = UnknownPoints()
+        self._unknown = UnknownPoints(config.new_separation_m)
         self._prior, self._are_free = frozenset(self.records), are_free
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
 
@@ -88,11 +88,11 @@ class Associator:
         observed = Observed.of(observations)
         is_point = ~observed.walls
         points = observed.z[is_point]
-        log_unknown = self._unknown.log_density(points)
+        unknown = self._unknown.density(points)
         extents, excess = self._extents(estimate) if proposed is None else proposed.extents, self._crookedness.excess
 
         def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents, self.records, excess, log_unknown, self._config)
+            return match(observed, belief, estimate, extents, self.records, excess, unknown, self._config)
 
         slip = None
         if proposed is None:
@@ -100,6 +100,7 @@ class Associator:
         else:
             matches = at(proposed, proposed.estimate())
         self._unknown.add(points, matches.landmark[is_point] < 0)
+        self._count_new_sides(matches, estimate)
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
         updated = estimate.pose if proposed is not None else matches.pose
@@ -109,6 +110,14 @@ class Associator:
         accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
         discarded = len(observations) - len(accepted) - pieces
         return Association(accepted, discarded, nis, dof, pieces, slip)
+
+    def _count_new_sides(self, matches: Matches, estimate: Estimate) -> None:
+        """Count the points beside which something is seen from a new side, and how likely it is another point."""
+        rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
+        for i, log_density in matches.new_sides.items():
+            x, y = (estimate.pose.position - estimate.landmarks[rows[i]]).tolist()
+            if self.records[i].corner.counts(math.atan2(y, x)):
+                self._unknown.add_new_side(log_density)
 
     def _seen_again(
         self, observations: Sequence[Observation], matches: Matches, estimate: Estimate, updated: Pose

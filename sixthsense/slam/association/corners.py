@@ -104,6 +104,8 @@ class Corner:
         """(2,) of the last observation: the axis times the sigma of what stays, world frame, m"""
         self._sides: list[float] = []
         """rad, each hardly like the others"""
+        self._counted: list[float] = []
+        """sides that were counted as new ones"""
 
     def seen(self, observation: Observation, pose: Pose, scatter: Scatter) -> Observation:
         """An observation of this point from `pose`, with the part of its error that stays, of which the scatter tells.
@@ -116,6 +118,7 @@ class Corner:
             scatter.add(before, now)
         error = math.sqrt(scatter.share(now.incidence)) * now.sigma_m * now.axis
         self._last, self._error = now, error
+        side = self._side_of(now.side_rad)
         if not error.any() and not was.any():
             return observation
         if error @ was < 0.0:
@@ -130,14 +133,29 @@ class Corner:
                 np.outer(was, was) + np.outer(error, error) - kept * (both + both.T),
             )
         )
-        side = self._side_of(now.side_rad)
         alike = kept_between(self._sides[side], now.side_rad)
         return replace(observation, bend=Bend(cov, renewal, side, alike))
 
+    def is_new_side(self, side_rad: float) -> bool:
+        """Whether the point was seen, but never from a side like this one."""
+        return self._last is not None and not _has_alike([*self._sides, self._last.side_rad], side_rad)
+
+    def counts(self, side_rad: float) -> bool:
+        """Whether this side is counted as a new one, which each is once."""
+        if _has_alike(self._counted, side_rad):
+            return False
+        self._counted.append(side_rad)
+        return True
+
     def _side_of(self, side_rad: float) -> int:
         """Number of the side that is most like this one; a new one, if none has most of its error."""
+        if not _has_alike(self._sides, side_rad):
+            self._sides.append(side_rad)
+            return len(self._sides) - 1
         alike = [kept_between(side, side_rad) for side in self._sides]
-        if alike and max(alike) > 0.5:
-            return alike.index(max(alike))
-        self._sides.append(side_rad)
-        return len(self._sides) - 1
+        return alike.index(max(alike))
+
+
+def _has_alike(sides: list[float], side_rad: float) -> bool:
+    """Whether a point shows most of its error alike from one of the `sides`, rad, and from this one."""
+    return any(kept_between(side, side_rad) > 0.5 for side in sides)

@@ -125,21 +125,20 @@ def squared_given(pairs: Pairs, asked: Mask, matched: Indices) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def likely_matches(pairs: Pairs, matched: Indices, walls: Mask, least: float) -> Indices:
-    """(m,) the matches of (m,) without those of points that are not much likelier than unknown points; -1: none.
+def likely_matches(pairs: Pairs, matched: Indices, least: Array) -> Indices:
+    """(m,) the matches of (m,) without those that are not likely enough; -1: none.
 
-    A match stays if the logarithm of the density of its observation, given the other matches, is at least `least`. The
-    one that lacks most goes first, since the others are then judged without it; `walls` (k,) marks the landmarks that
-    are none.
+    A match stays if the logarithm of the density of its observation, given the other matches, is at least `least` (k,)
+    of its landmark. The one that lacks most goes first, since the others are then judged without it.
     """
     kept = matched.copy()
     while True:
-        lowest, worst = least, -1
+        most, worst = 0.0, -1
         for i in range(len(kept)):
-            if kept[i] >= 0 and not walls[kept[i]]:
-                density = _log_density(pairs, kept, i)
-                if density < lowest:
-                    lowest, worst = density, i
+            if kept[i] >= 0 and least[kept[i]] > -np.inf:
+                lacking = least[kept[i]] - _log_density(pairs, kept, i)
+                if lacking > most:
+                    most, worst = lacking, i
         if worst < 0:
             return kept
         kept[worst] = -1

@@ -17,6 +17,7 @@ from sixthsense.core.se2 import Triple
 from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, likely_matches, squared_given
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record, unit_cov
+from sixthsense.slam.association.unknown import UnknownDensity
 from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
@@ -162,6 +163,8 @@ class Matches(NamedTuple):
     """that the matches imply"""
     worth: float
     """twice the logarithm of how much likelier they are than observations at the gate"""
+    new_sides: Mapping[LandmarkId, float]
+    """of each point beside which something is seen from a new side: the log of its density, if it is this point"""
 
     def nis(self, known: Mapping[LandmarkId, Observation]) -> float:
         """Normalised innovation squared of the matched observations together."""
@@ -178,13 +181,13 @@ def match(
     extents: Array,
     records: Mapping[LandmarkId, Record],
     excess: tuple[float, float],
-    log_unknown: float,
+    unknown: UnknownDensity,
     cfg: AssociationConfig,
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
     `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
-    its walls, `excess` says how crooked walls are in the mean, and `log_unknown` how dense unknown points are. The
+    its walls, `excess` says how crooked walls are in the mean, and `unknown` how dense unknown points are. The
     `records` of landmarks that were compared are told how certain these are.
     """
     m = len(observed.z)
@@ -196,7 +199,7 @@ def match(
     near = np.flatnonzero(plausible.any(axis=0))
     joint = np.ascontiguousarray(belief.joint_covariance(estimate.ids[near].tolist()))
     if not len(near):
-        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0)
+        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0, {})
     for j, k in enumerate(near.tolist()):
         own[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
     squares = np.array([own[k].shape.square_m2(excess) for k in near.tolist()])
@@ -204,20 +207,50 @@ def match(
     gaps, plausible = distances.gap_m[:, near], plausible[:, near]
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
-    least = log_unknown + (math.log(cfg.match_odds) if cfg.match_odds > 0.0 else -math.inf)
-    found = likely_matches(innovations.pairs, found, innovations.walls, least)
+    is_new_side = np.array([_is_new_side(own[k], estimate.landmarks[k], estimate.pose) for k in near.tolist()])
+    least = unknown.least(innovations.walls, is_new_side, cfg.match_odds)
+    found = likely_matches(innovations.pairs, found, least)
+    new_sides = _new_sides(innovations, is_new_side, distances.metres[:, near], found, cfg)
     is_matched = found >= 0
     is_far = ~is_matched & (squared_given(innovations.pairs, plausible, found).min(axis=1) > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
-    is_apart = Distances.at(here, observed, estimate, extents).apart(cfg).all(axis=1)
-    is_beside = is_far & ~is_apart & observed.walls
-    # Walls beside known ones are other walls if most of the scan matches, and else show that the pose is wrong.
+    is_beside = ~Distances.at(here, observed, estimate, extents).apart(cfg)
+    is_apart = ~is_beside.any(axis=1)
+    # A wall may be beside a known one, and a point beside one that was not seen from this side, if most of the scan
+    # matches; else these show that the pose is wrong.
+    is_beside[observed.walls] = False
+    for i, k in zip(*np.nonzero(is_beside), strict=True):
+        is_beside[i, k] = not _is_new_side(own[k], estimate.landmarks[k], here)
+    may_be_beside = is_far & ~is_apart & ~is_beside.any(axis=1)
     contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
     if np.count_nonzero(is_matched) > contradicting:
-        is_apart |= is_beside
+        is_apart |= may_be_beside
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
     worth = innovations.worth(found, cfg.match_gate)
-    return Matches(landmark, is_far & is_apart, estimate.ids[near], innovations, here, worth)
+    beside = {int(estimate.ids[near[j]]): log_density for j, log_density in new_sides.items()}
+    return Matches(landmark, is_far & is_apart, estimate.ids[near], innovations, here, worth, beside)
+
+
+def _is_new_side(record: Record, place: Array, pose: Pose) -> bool:
+    """Whether a point at `place` (2,) was seen, but not from the side where `pose` is; False of a wall."""
+    return record.corner.is_new_side(math.atan2(pose.y - place[1], pose.x - place[0]))
+
+
+def _new_sides(
+    innovations: Innovations, is_new_side: Mask, metres: Array, found: Indices, cfg: AssociationConfig
+) -> dict[int, float]:
+    """Points (k,) beside which something is seen from a new side, and the log of its density if it is this point.
+
+    What is another one by the gate has to be possible beside it: there the gate's ellipse is smaller than the disc in
+    which a point is beside another one. `metres` are (m, k).
+    """
+    ellipses = cfg.new_gate * np.exp(0.5 * innovations.log_det)
+    is_told = is_new_side & (metres <= cfg.new_separation_m) & (ellipses <= cfg.new_separation_m**2)
+    is_told &= (found[:, None] < 0) | (found[:, None] == np.arange(len(is_new_side)))
+    nearest = np.where(is_told, innovations.squared, np.inf)
+    log_density = -math.log(2.0 * math.pi) - 0.5 * (innovations.squared + innovations.log_det)
+    rows = np.flatnonzero(is_told.any(axis=1))
+    return {int(j): float(log_density[i, j]) for i, j in zip(rows, nearest[rows].argmin(axis=1), strict=True)}
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -13,7 +13,7 @@ from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.joint_assignment import Pairs, likely_matches
-from sixthsense.slam.association.unknown import UnknownPoints
+from sixthsense.slam.association.unknown import UnknownDensity, UnknownPoints
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.testing.sight import predict_points
 
@@ -51,10 +51,9 @@ def test_the_match_that_is_least_likely_given_the_others_is_given_up_just_below_
     pairs, matched = crowd(seed)
     densities = {i: log_density_given_the_others(pairs, matched, i) for i in (0, 1, 3)}
     worst = min(densities, key=densities.get)
-    walls = np.zeros(5, bool)
-    kept = likely_matches(pairs, matched, walls, densities[worst] - 1e-6)
+    kept = likely_matches(pairs, matched, np.full(5, densities[worst] - 1e-6))
     assert kept.tolist() == matched.tolist()
-    given_up = likely_matches(pairs, matched, walls, densities[worst] + 1e-6)
+    given_up = likely_matches(pairs, matched, np.full(5, densities[worst] + 1e-6))
     assert given_up[worst] == -1
     # The others are judged without it.
     rest = matched.copy()
@@ -64,17 +63,24 @@ def test_the_match_that_is_least_likely_given_the_others_is_given_up_just_below_
         assert given_up.tolist() == rest.tolist()
 
 
-def test_a_wall_is_never_given_up_and_tells_how_likely_a_point_is():
+def test_each_landmark_has_a_limit_of_its_own_and_the_match_goes_first_that_lacks_most():
     pairs, matched = crowd(3)
-    walls = np.array([True, False, False, False, True])
-    point = log_density_given_the_others(pairs, matched, 0)
-    assert likely_matches(pairs, matched, walls, point - 1e-6).tolist() == [3, 0, -1, 4]
-    assert likely_matches(pairs, matched, walls, 1e9).tolist() == [-1, 0, -1, 4]
+    densities = {i: log_density_given_the_others(pairs, matched, i) for i in (0, 1, 3)}
+    least = np.full(5, -math.inf)  # that of a wall, which still tells how likely the others are
+    least[matched[1]] = densities[1] - 1e-6
+    assert likely_matches(pairs, matched, least).tolist() == [3, 0, -1, 4]
+    least[matched[1]] = densities[1] + 1e-6
+    assert likely_matches(pairs, matched, least).tolist() == [3, -1, -1, 4]
+    least[matched[0]] = densities[0] + 0.7  # judged first, and without it the other one is likelier or not
+    kept = likely_matches(pairs, matched, least)
+    rest = np.array([-1, 0, -1, 4])
+    stays = log_density_given_the_others(pairs, rest, 1) >= least[0]
+    assert kept.tolist() == [-1, 0 if stays else -1, -1, 4]
 
 
 def test_the_density_of_unknown_points_is_that_of_those_without_a_match_over_the_disc_of_all():
-    unknown = UnknownPoints()
-    assert unknown.log_density(np.zeros((0, 2))) == -math.inf
+    unknown = UnknownPoints(0.4)
+    assert unknown.density(np.zeros((0, 2))).anywhere == 0.0
     first, second, now = np.array([[1.2, -0.4], [2.1, 3.3]]), np.array([[-3.7, 0.9]]), np.array([[0.3, 2.2]])
     unknown.add(first, np.array([True, True]))
     unknown.add(second, np.array([False]))
@@ -82,7 +88,29 @@ def test_the_density_of_unknown_points_is_that_of_those_without_a_match_over_the
     squares = keep * (1.2**2 + 0.4**2 + 2.1**2 + 3.3**2) + 3.7**2 + 0.9**2 + 0.3**2 + 2.2**2
     area = math.pi * 2.0 * squares / (keep * 2 + 2)
     expected = (keep * 2 + 1) / 100.0 / area
-    assert unknown.log_density(now) == pytest.approx(math.log(expected), rel=1e-12)
+    assert unknown.density(now).anywhere == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_sight_from_a_new_side_counts_as_another_point_by_the_probability_of_that():
+    unknown = UnknownPoints(0.4)
+    disc = math.pi * 0.16
+    assert unknown.density(np.zeros((1, 2))).beside == pytest.approx(0.5 / disc)
+    unknown.add_new_side(math.log(7.0))  # per m^2, if it is the known point
+    first = (0.5 / disc) / (0.5 / disc + 0.5 * 7.0)
+    share = (first + 1.0) / 3.0
+    assert unknown.share_of_others == pytest.approx(share)
+    unknown.add_new_side(-1000.0)
+    assert unknown.share_of_others == pytest.approx((0.998 * first + 1.0 + 1.0) / (0.998 + 1.0 + 2.0))
+    assert unknown.density(np.zeros((1, 2))).beside == pytest.approx(unknown.share_of_others / disc)
+    assert UnknownPoints(0.0).density(np.zeros((1, 2))).beside == 0.0
+
+
+def test_the_least_density_of_a_match_is_that_of_unknown_points_times_the_odds():
+    walls, is_new_side = np.array([False, False, True]), np.array([False, True, True])
+    least = UnknownDensity(0.03, 1.9).least(walls, is_new_side, 50.0)
+    np.testing.assert_allclose(least, [math.log(1.5), math.log(96.5), -math.inf])
+    assert np.all(UnknownDensity(0.03, 1.9).least(walls, is_new_side, 0.0) == -math.inf)
+    assert UnknownDensity(0.0, 0.0).least(walls, is_new_side, 50.0)[1] == -math.inf
 
 
 def returned(name, sigma_m, seen, odds=1000.0):

