@@ -16,7 +16,8 @@ from sixthsense.core.covariance import SIGNIFICANT, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.corners import Scatter
-from sixthsense.slam.association.matching import Matches, compare_known, match
+from sixthsense.slam.association.displacement import Displacement
+from sixthsense.slam.association.matching import Matches, Usual, compare_known, match
 from sixthsense.slam.association.observed import (
     Distances,
     Mask,
@@ -28,7 +29,7 @@ from sixthsense.slam.association.observed import (
     joined,
 )
 from sixthsense.slam.association.proposed import ProposedLandmarks
-from sixthsense.slam.association.records import Association, Crookedness, Footprint, Record, less_certain
+from sixthsense.slam.association.records import Association, Crookedness, Footprint, Record, less_certain, unit_cov
 from sixthsense.slam.association.slip import matches_after_slip
 from sixthsense.slam.association.unknown import UnknownPoints
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
@@ -67,7 +68,9 @@ class Associator:
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
+        self._of_stretches = Displacement()
         self._scatter = Scatter()
+        self._of_sides = Displacement()
         self._unknown = UnknownPoints(config.new_separation_m)
         self._prior, self._are_free = frozenset(self.records), are_free
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
@@ -88,11 +91,12 @@ class Associator:
         observed = Observed.of(observations)
         is_point = ~observed.walls
         points = observed.z[is_point]
-        unknown = self._unknown.density(points)
-        extents, excess = self._extents(estimate) if proposed is None else proposed.extents, self._crookedness.excess
+        of_points = self._unknown.density(points)
+        usual = Usual(self._crookedness.excess, self._of_stretches.square_m2, self._of_sides.square_m2, of_points)
+        extents = self._extents(estimate) if proposed is None else proposed.extents
 
         def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents, self.records, excess, unknown, self._config)
+            return match(observed, belief, estimate, extents, self.records, usual, self._config)
 
         slip = None
         if proposed is None:
@@ -101,6 +105,7 @@ class Associator:
             matches = at(proposed, proposed.estimate())
         self._unknown.add(points, matches.landmark[is_point] < 0)
         self._count_new_sides(matches, estimate)
+        self._count_new_stretches(observations, matches, estimate.pose)
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
         updated = estimate.pose if proposed is not None else matches.pose
@@ -112,12 +117,27 @@ class Associator:
         return Association(accepted, discarded, nis, dof, pieces, slip)
 
     def _count_new_sides(self, matches: Matches, estimate: Estimate) -> None:
-        """Count the points beside which something is seen from a new side, and how likely it is another point."""
+        """Learn from what is seen from new sides how many are other points, and how far the same ones are off."""
+        places = {i: j for j, i in enumerate(matches.near.tolist())}
         rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        for i, log_density in matches.new_sides.items():
+        for i, (observation, log_density) in matches.new_sides.items():
+            assert matches.innovations is not None
             x, y = (estimate.pose.position - estimate.landmarks[rows[i]]).tolist()
             if self.records[i].corner.counts(math.atan2(y, x)):
-                self._unknown.add_new_side(log_density)
+                is_same = self._unknown.add_new_side(log_density)
+                added = 2.0 * self._of_sides.square_m2
+                squared, information = matches.innovations.without(observation, places[i], added, np.eye(2))
+                self._of_sides.add(squared, information, is_same)
+
+    def _count_new_stretches(self, observations: Sequence[Observation], matches: Matches, pose: Pose) -> None:
+        """Learn from walls that are seen elsewhere than before how far they are off there."""
+        places = {i: j for j, i in enumerate(matches.near.tolist())}
+        added = self._of_stretches.square_m2
+        for k, (observation, i) in enumerate(zip(observations, matches.landmark.tolist(), strict=True)):
+            if i >= 0 and observation.is_wall and self.records[i].is_new_stretch(pose, observation):
+                assert matches.innovations is not None
+                unit = unit_cov(*observation.extent, True)
+                self._of_stretches.add(*matches.innovations.without(k, places[i], added, unit))
 
     def _seen_again(
         self, observations: Sequence[Observation], matches: Matches, estimate: Estimate, updated: Pose
@@ -137,11 +157,15 @@ class Associator:
             record.observations += 1
             record.last_scan = self._scan
             if observation.is_wall:
-                seen = less_certain(observation, record.shape.square_m2(self._crookedness.excess))
+                seen = less_certain(observation, self._square_m2(record))
                 known[i] = record.seen_again(seen, estimate.pose, estimate.landmarks[rows[i]])
             else:
-                known[i] = record.corner.seen(observation, updated, self._scatter)
+                known[i] = record.corner.seen(observation, updated, self._scatter, self._of_sides.square_m2)
         return known, pieces
+
+    def _square_m2(self, record: Record) -> float:
+        """Mean square of the deviation of a wall from the line that was fitted to a stretch of it."""
+        return record.shape.square_m2(self._crookedness.excess) + self._of_stretches.square_m2
 
     def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
         """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
@@ -274,15 +298,14 @@ class Associator:
             if observation.is_wall:
                 record.extent = ends(estimate.pose, observation)
                 record.footprint = Footprint.of(estimate.pose, record.extent)
-        squares = {i: self.records[i].shape.square_m2(self._crookedness.excess) for i in new}
-        for i, square_m2 in squares.items():
-            footprint = self.records[i].footprint
-            if square_m2 > 0.0 and footprint is not None:
+        squares = {i: self._square_m2(self.records[i]) for i in new}
+        for i in new:
+            if (footprint := self.records[i].footprint) is not None:
                 self.records[i].stretch_of(footprint)
         appear = {i: less_certain(seen, squares[i]) for i, seen in new.items() if seen.is_wall}
         for i, seen in new.items():
             if not seen.is_wall:
-                appear[i] = self.records[i].corner.seen(seen, estimate.pose, self._scatter)
+                appear[i] = self.records[i].corner.seen(seen, estimate.pose, self._scatter, self._of_sides.square_m2)
         return {i: appear[i] for i in new}, pieces
 
     def _are_one(self, one: Observation, other: Observation) -> bool:

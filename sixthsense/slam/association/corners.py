@@ -107,11 +107,11 @@ class Corner:
         self._counted: list[float] = []
         """sides that were counted as new ones"""
 
-    def seen(self, observation: Observation, pose: Pose, scatter: Scatter) -> Observation:
+    def seen(self, observation: Observation, pose: Pose, scatter: Scatter, displaced_m2: float) -> Observation:
         """An observation of this point from `pose`, with the part of its error that stays, of which the scatter tells.
 
         The error changes by the difference of two normal ones, along the axis of each, with the correlation of their
-        sides.
+        sides. Each side has a further error of `displaced_m2`, the variance along any axis.
         """
         now, before, was = Sight.of(observation, pose), self._last, self._error
         if before is not None:
@@ -119,7 +119,7 @@ class Corner:
         error = math.sqrt(scatter.share(now.incidence)) * now.sigma_m * now.axis
         self._last, self._error = now, error
         side = self._side_of(now.side_rad)
-        if not error.any() and not was.any():
+        if not error.any() and not was.any() and displaced_m2 == 0.0:
             return observation
         if error @ was < 0.0:
             was = -was
@@ -133,8 +133,10 @@ class Corner:
                 np.outer(was, was) + np.outer(error, error) - kept * (both + both.T),
             )
         )
+        of_side = displaced_m2 * np.eye(2)
+        cov, renewal = cov + of_side, renewal + 2.0 * (1.0 - kept) * of_side
         alike = kept_between(self._sides[side], now.side_rad)
-        return replace(observation, bend=Bend(cov, renewal, side, alike))
+        return replace(observation, cov=observation.cov + of_side, bend=Bend(cov, renewal, side, alike))
 
     def is_new_side(self, side_rad: float) -> bool:
         """Whether the point was seen, but never from a side like this one."""

@@ -24,6 +24,18 @@ _EXTENDED = 0.01
 """share of the observations of a wall that show a stretch of it that was not seen before"""
 
 
+class Usual(NamedTuple):
+    """What the landmarks of this building are like, by all that was observed so far."""
+
+    excess: tuple[float, float]
+    """how crooked walls are, as of `Crookedness`"""
+    wall_m2: float
+    """mean square of the error by which one stretch of a wall is off another one"""
+    point_m2: float
+    """that of one side of a point"""
+    unknown: UnknownDensity
+
+
 class Innovations(NamedTuple):
     """Innovations of m observations against k landmarks, for all pairs."""
 
@@ -39,6 +51,16 @@ class Innovations(NamedTuple):
     """(k, 2) predicted observations"""
     walls: Mask
     """(k,) which of the landmarks are walls"""
+
+    def without(self, i: int, j: int, square_m2: float, unit: Array) -> tuple[float, float]:
+        """Squared innovation of a pair whose covariance lacks `square_m2` times `unit` (2, 2), and how it grows.
+
+        The latter is half of what its mean gains per m^2 of these, 1/m^2.
+        """
+        at = slice(2 * j, 2 * j + 2)
+        information = np.linalg.inv(self.pairs.predicted[at, at] + self.pairs.noise[i, j] - square_m2 * unit)
+        value = self.pairs.values[i, j]
+        return float(value @ information @ value), 0.5 * float(np.trace(information @ unit))
 
     def pose_given(self, pose: Pose, matched: Indices) -> Pose:
         """The predicted `pose` updated with matches (m,), -1: none; report eq. 10."""
@@ -148,6 +170,14 @@ def _nis(values: Array, S: Array) -> float:
     return float(flat @ np.linalg.solve(S, flat))
 
 
+class NewSide(NamedTuple):
+    """What is seen from a new side beside a known point, as an observation of this point."""
+
+    observation: int
+    log_density: float
+    """logarithm of the density of its innovation, 1/m^2"""
+
+
 class Matches(NamedTuple):
     """Of m observations, those of known landmarks and those of new ones."""
 
@@ -163,8 +193,8 @@ class Matches(NamedTuple):
     """that the matches imply"""
     worth: float
     """twice the logarithm of how much likelier they are than observations at the gate"""
-    new_sides: Mapping[LandmarkId, float]
-    """of each point beside which something is seen from a new side: the log of its density, if it is this point"""
+    new_sides: Mapping[LandmarkId, NewSide]
+    """what is seen beside points that were not seen from this side before"""
 
     def nis(self, known: Mapping[LandmarkId, Observation]) -> float:
         """Normalised innovation squared of the matched observations together."""
@@ -180,15 +210,14 @@ def match(
     estimate: Estimate,
     extents: Array,
     records: Mapping[LandmarkId, Record],
-    excess: tuple[float, float],
-    unknown: UnknownDensity,
+    usual: Usual,
     cfg: AssociationConfig,
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
     `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
-    its walls, `excess` says how crooked walls are in the mean, and `unknown` how dense unknown points are. The
-    `records` of landmarks that were compared are told how certain these are.
+    its walls, and `usual` says what landmarks are like. The `records` of those that were compared are told how certain
+    these are.
     """
     m = len(observed.z)
     own = [records[i] for i in estimate.ids.tolist()]
@@ -202,13 +231,14 @@ def match(
         return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0, {})
     for j, k in enumerate(near.tolist()):
         own[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
-    squares = np.array([own[k].shape.square_m2(excess) for k in near.tolist()])
+    is_new_side = np.array([_is_new_side(own[k], estimate.landmarks[k], estimate.pose) for k in near.tolist()])
+    squares = np.array([own[k].shape.square_m2(usual.excess) for k in near.tolist()])
+    squares += np.where(estimate.walls[near], usual.wall_m2, np.where(is_new_side, 2.0 * usual.point_m2, 0.0))
     innovations = compare(observed, squares, estimate, near, joint)
     gaps, plausible = distances.gap_m[:, near], plausible[:, near]
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
-    is_new_side = np.array([_is_new_side(own[k], estimate.landmarks[k], estimate.pose) for k in near.tolist()])
-    least = unknown.least(innovations.walls, is_new_side, cfg.match_odds)
+    least = usual.unknown.least(innovations.walls, is_new_side, cfg.match_odds)
     found = likely_matches(innovations.pairs, found, least)
     new_sides = _new_sides(innovations, is_new_side, distances.metres[:, near], found, cfg)
     is_matched = found >= 0
@@ -227,7 +257,7 @@ def match(
         is_apart |= may_be_beside
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
     worth = innovations.worth(found, cfg.match_gate)
-    beside = {int(estimate.ids[near[j]]): log_density for j, log_density in new_sides.items()}
+    beside = {int(estimate.ids[near[j]]): seen for j, seen in new_sides.items()}
     return Matches(landmark, is_far & is_apart, estimate.ids[near], innovations, here, worth, beside)
 
 
@@ -238,8 +268,8 @@ def _is_new_side(record: Record, place: Array, pose: Pose) -> bool:
 
 def _new_sides(
     innovations: Innovations, is_new_side: Mask, metres: Array, found: Indices, cfg: AssociationConfig
-) -> dict[int, float]:
-    """Points (k,) beside which something is seen from a new side, and the log of its density if it is this point.
+) -> dict[int, NewSide]:
+    """What is seen from a new side beside points (k,), by their place among these.
 
     What is another one by the gate has to be possible beside it: there the gate's ellipse is smaller than the disc in
     which a point is beside another one. `metres` are (m, k).
@@ -247,10 +277,10 @@ def _new_sides(
     ellipses = cfg.new_gate * np.exp(0.5 * innovations.log_det)
     is_told = is_new_side & (metres <= cfg.new_separation_m) & (ellipses <= cfg.new_separation_m**2)
     is_told &= (found[:, None] < 0) | (found[:, None] == np.arange(len(is_new_side)))
-    nearest = np.where(is_told, innovations.squared, np.inf)
+    nearest = np.where(is_told, innovations.squared, np.inf).argmin(axis=1)
     log_density = -math.log(2.0 * math.pi) - 0.5 * (innovations.squared + innovations.log_det)
-    rows = np.flatnonzero(is_told.any(axis=1))
-    return {int(j): float(log_density[i, j]) for i, j in zip(rows, nearest[rows].argmin(axis=1), strict=True)}
+    rows = np.flatnonzero(is_told.any(axis=1)).tolist()
+    return {int(nearest[i]): NewSide(i, float(log_density[i, nearest[i]])) for i in rows}
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -127,9 +127,9 @@ def less_certain(observation: Observation, square_m2: float) -> Observation:
 def unit_cov(first: float, last: float, is_wall: bool) -> Array:
     """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle.
 
-    The wall reaches from `first` to `last` along it, m; zero for a point.
+    The wall reaches from `first` to `last` along it, m; a point is off by as much along any axis.
     """
-    cov = np.zeros((2, 2))
+    cov = np.eye(2)
     if is_wall:
         middle, of_tilt = 0.5 * (first + last), 4.0 * _TILT / (last - first) ** 2
         cov[0, 0] = of_tilt
@@ -191,16 +191,23 @@ class Record:
     corner: Corner = field(default_factory=Corner, repr=False, compare=False)
     """of a point; not recorded"""
 
+    def is_new_stretch(self, pose: Pose, observation: Observation) -> bool:
+        """Whether this wall was seen, but neither just before nor ever the stretch that is observed from `pose`."""
+        if self.footprint is None:
+            return False
+        now = Footprint.of(pose, ends(pose, observation))
+        return all(correlation(before, now) <= 0.5 for before in (self.footprint, *self.stretches))
+
     def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
         """An observation of this wall (2,) from `pose`, with what its shape's error has in common with the last one."""
         seen = ends(pose, observation)
         self.shape.add(observation.shape)
         self.extent = joined(wall, self.extent, seen)
         before, self.footprint = self.footprint, Footprint.of(pose, seen)
+        stretch = self.stretch_of(self.footprint)
         if observation.bend is None:
             return observation
         kept = 0.0 if before is None else correlation(before, self.footprint)
-        stretch = self.stretch_of(self.footprint)
         alike = correlation(self.stretches[stretch], self.footprint)
         # Of two errors of one variance.
         cov = observation.bend.cov

@@ -63,10 +63,10 @@ class UnknownPoints:
         self._points = keep * self._points + len(points)
         self._squares_m2 = keep * self._squares_m2 + float(np.sum(points**2))
 
-    def add_new_side(self, log_density: float) -> None:
-        """Take what is seen from a new side beside a known point, by the logarithm of its density if it is this one.
+    def add_new_side(self, log_density: float) -> float:
+        """The probability that what is seen from a new side beside a known point is this one.
 
-        It counts as another point by the probability of that.
+        `log_density` is the logarithm of its density if it is. It counts as another point by the rest.
         """
         share = self.share_of_others
         is_other = share / self._beside_m2
@@ -74,6 +74,7 @@ class UnknownPoints:
         keep = 1.0 - 1.0 / MEMORY
         self._others = keep * self._others + is_other / (is_other + is_same)
         self._from_new_side = keep * self._from_new_side + 1.0
+        return is_same / (is_other + is_same)
 
     @property
     def share_of_others(self) -> float:

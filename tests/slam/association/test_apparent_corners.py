@@ -43,7 +43,7 @@ def looks(rng, stays_m, sides, count):
         common = stays_m * rng.standard_normal()
         for _ in range(count):
             error = (common + rest * rng.standard_normal()) * AXIS + ACROSS * rng.standard_normal() * np.array([-1, 1])
-            bends.append(corner.seen(seen(pose_at(side), error), pose_at(side), scatter).bend)
+            bends.append(corner.seen(seen(pose_at(side), error), pose_at(side), scatter, 0.0).bend)
     return bends, scatter
 
 
@@ -71,7 +71,7 @@ def test_the_part_that_stays_is_what_the_scatter_lacks(share):
         common = math.sqrt(share) * ALONG * rng.standard_normal()
         for _ in range(12):
             error = (common + math.sqrt(1.0 - share) * ALONG * rng.standard_normal()) * AXIS
-            corner.seen(seen(pose_at(side), error), pose_at(side), scatter)
+            corner.seen(seen(pose_at(side), error), pose_at(side), scatter, 0.0)
     assert scatter.share(0) == pytest.approx(share, abs=0.12)
     assert [scatter.share(k) for k in range(1, 5)] == [0.0] * 4
 
@@ -101,6 +101,18 @@ def test_the_error_stays_while_the_side_stays_and_changes_by_both_when_it_is_lef
     to_robot = rotation(-pose_at(0.3).theta) @ AXIS
     assert not last.cov.any() and to_robot @ last.renewal @ to_robot == pytest.approx(along, rel=0.2)
     assert bends[181] is None
+
+
+def test_each_side_has_an_error_of_its_own_that_is_new_where_the_side_changes():
+    """Without any scatter that is too small: what a side adds is along all axes alike."""
+    corner, scatter, square_m2 = Corner(), Scatter(), 0.006**2
+    sights = [corner.seen(seen(pose_at(side), 0.0), pose_at(side), scatter, square_m2) for side in (2.2, 2.1, -0.9)]
+    for sight, side, kept in zip(sights, (2.2, 2.1, -0.9), (0.0, math.exp(-0.25), 0.0), strict=True):
+        np.testing.assert_allclose(sight.cov, seen(pose_at(side), 0.0).cov + square_m2 * np.eye(2))
+        np.testing.assert_allclose(sight.bend.cov, square_m2 * np.eye(2))
+        np.testing.assert_allclose(sight.bend.renewal, 2.0 * (1.0 - kept) * square_m2 * np.eye(2), atol=1e-15)
+    assert [sight.bend.stretch for sight in sights] == [0, 0, 1]
+    assert sights[1].bend.stretch_kept == pytest.approx(math.exp(-0.25), rel=1e-3)
 
 
 @pytest.mark.parametrize("name", [*FILTERS, "isam2"])

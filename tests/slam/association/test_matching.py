@@ -9,7 +9,7 @@ from sixthsense.core.landmark_kernels import innovations_of, predictions, stacke
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Observed
-from sixthsense.slam.association.records import less_certain
+from sixthsense.slam.association.records import unit_cov
 from sixthsense.slam.estimators.base import Estimate
 
 WALLS = np.array([True, False, True, False])
@@ -39,7 +39,8 @@ def pairwise(seen, estimate, joint):
     H = stacked(by_pose, by_landmark, 3)
     n, found = len(z), []
     for observation in seen:
-        less = np.array([less_certain(observation, square).cov for square in SQUARES])
+        off = [square * unit_cov(*observation.extent, observation.is_wall) for square in SQUARES]
+        less = observation.cov + np.array(off)
         found.append(innovations_of(np.tile(observation.z, (n, 1)), less, z, estimate.walls))
     return (*map(np.array, zip(*found, strict=True)), H @ joint @ H.T, H @ joint[:, :3])
 
@@ -57,6 +58,18 @@ def test_innovations_of_all_pairs(case):
             S = predicted[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] + noise[i, j]
             assert found.squared[i, j] == pytest.approx(values[i, j] @ np.linalg.solve(S, values[i, j]))
             assert found.log_det[i, j] == pytest.approx(np.linalg.slogdet(S).logabsdet)
+
+
+def test_a_squared_innovation_without_a_part_of_its_covariance_and_how_its_mean_grows_with_that(case):
+    seen, estimate, joint = case
+    found = compare(Observed.of(seen), SQUARES, estimate, np.arange(4), joint)
+    unit, step = np.array([[1.3, 0.4], [0.4, 0.9]]), 1e-7
+    value = found.pairs.values[2, 1]
+    whole = found.pairs.predicted[2:4, 2:4] + found.pairs.noise[2, 1]
+    squared, growth = found.without(2, 1, 0.002, unit)
+    S = whole - 0.002 * unit
+    assert squared == pytest.approx(value @ np.linalg.solve(S, value))
+    assert growth == pytest.approx(0.5 * np.trace(np.linalg.solve(S, S + step * unit) - np.eye(2)) / step, rel=1e-5)
 
 
 def test_the_pose_and_the_squared_innovation_of_matches_together(case):
