@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,7 +25,7 @@ class Sensor(NamedTuple):
     forward_m: float = 0.0
     """place of the sensor along the robot's x axis, beyond the assumed one"""
     bearing_scale_error: float = 0.0
-    """true bearings are (1 + this) times those it reports, as by an error of a camera's focal length"""
+    """tangents of true bearings are (1 + this) times those it reports, at the same depth, as by a wrong focal length"""
 
     @classmethod
     def from_array(cls, values: Array) -> Sensor:
@@ -38,25 +37,26 @@ class Sensor(NamedTuple):
         return np.array(self)
 
     def corrected(self, point: Array) -> tuple[Array, Array]:
-        """A reported point (2,) corrected, and its Jacobian (2, 2) by the reported one."""
-        x, y = point.tolist()
-        turn = rotation(self.yaw_rad + self.bearing_scale_error * math.atan2(y, x))
-        seen = turn @ point  # from the sensor, in the robot's axes
-        by_bearing = np.array([-seen[1], seen[0]])
-        by_point = turn + self.bearing_scale_error / (x * x + y * y) * np.outer(by_bearing, (-y, x))
-        return seen + np.array([self.forward_m, 0.0]), by_point
+        """A reported point (2,) corrected, and its Jacobian (2, 2) by the reported one.
+
+        A camera measures a depth along its axis, which an error of its focal length leaves to the scale. It moves a
+        point sideways. Kept at its range in place of its depth, a point at 0.5 rad would be off by half of its
+        sideways error.
+        """
+        by_point = rotation(self.yaw_rad) * np.array([1.0, 1.0 + self.bearing_scale_error])
+        return by_point @ point + np.array([self.forward_m, 0.0]), by_point
 
     def reported(self, point: Array) -> Array:
         """The reported point (2,) of one that is corrected."""
-        x, y = float(point[0]) - self.forward_m, float(point[1])
-        distance, bearing = math.hypot(x, y), (math.atan2(y, x) - self.yaw_rad) / (1.0 + self.bearing_scale_error)
-        return distance * np.array([math.cos(bearing), math.sin(bearing)])
+        seen = (point - np.array([self.forward_m, 0.0])) @ rotation(self.yaw_rad)
+        return np.asarray(seen / np.array([1.0, 1.0 + self.bearing_scale_error]))
 
     def jacobian(self, point: Array) -> Array:
         """(2, 3) of a corrected point by the parameters, for the reported point (2,)."""
-        bearing = math.atan2(point[1], point[0])
-        x, y = (rotation(self.yaw_rad + self.bearing_scale_error * bearing) @ point).tolist()
-        return np.array([[-y, 1.0, -y * bearing], [x, 0.0, x * bearing]])
+        turn = rotation(self.yaw_rad)
+        x, y = (turn @ (point[0], (1.0 + self.bearing_scale_error) * point[1])).tolist()
+        aside = point[1] * turn[:, 1]
+        return np.array([[-y, 1.0, aside[0]], [x, 0.0, aside[1]]])
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,6 +177,17 @@ def test_the_jacobian_of_a_drive_by_the_wheels_agrees_with_finite_differences():
     assert np.allclose(other.motion.array(), folded(values + 1e-4).motion.array(), atol=3e-6)
 
 
+def test_a_turn_on_the_spot_says_nothing_of_the_loss_in_curves():
+    wheels = WheelOdometry(AssumedConfig())
+    wheels.wheels = Wheels(latency_s=-0.13)
+    here, total = Pose(1.7, -2.9, 0.4), STANDSTILL
+    for _ in range(40):
+        there = Pose(here.x, here.y, here.theta + 0.031)
+        total, here = total.then(wheels.increment(here, there, 0.05)), there
+    assert total.wheels is not None and total.wheels.jacobian[2, 1] > 1.0
+    assert np.all(np.abs(total.wheels.jacobian[:, 4]) < 1e-12)
+
+
 def test_a_pose_that_is_old_at_its_stamp_lacks_the_motion_since():
     late, now, wheels, latency = Pose(), Pose(), WheelOdometry(AssumedConfig()), 0.04
     wheels.wheels, total = Wheels(latency_s=latency), STANDSTILL

@@ -310,21 +310,21 @@ class _PointResidual:
     def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         """The residual (2,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""
         pose, (px, py) = values.atPose2(self._pose), values.atPoint2(self._point)
-        yaw, forward, scale_error = values.atVector(SENSOR)
+        sensor = Sensor.from_array(values.atVector(SENSOR))
         theta = pose.theta()
         c, s = math.cos(theta), math.sin(theta)
         dx, dy = px - pose.x(), py - pose.y()
         x, y = c * dx + s * dy, c * dy - s * dx  # robot's frame
-        off = x - forward
-        distance, scale = max(math.hypot(off, y), 1e-9), 1.0 + scale_error
-        bearing = wrap_angle(math.atan2(y, off) - yaw) / scale
+        seen = sensor.reported(np.array([x, y]))
+        ahead, left = seen.tolist()
+        distance = max(math.hypot(ahead, left), 1e-9)
         if jacobians is not None:
-            along = np.array([off, y]) / distance
-            by_point = np.array([[-along[1] / (distance * scale), along[0] / (distance * scale)], along])
+            by_seen = np.array([[-left / distance**2, ahead / distance**2], [ahead / distance, left / distance]])
+            by_point = by_seen @ np.linalg.inv(sensor.corrected(seen)[1])
             jacobians[0] = by_point @ np.array([[-1.0, 0.0, y], [0.0, -1.0, -x]])
             jacobians[1] = by_point @ np.array([[c, s], [-s, c]])
-            jacobians[2] = np.column_stack([(-1.0 / scale, 0.0), -by_point[:, 0], (-bearing / scale, 0.0)])
-        return np.array([wrap_angle(bearing - self._bearing), distance - self._distance])
+            jacobians[2] = -by_point @ sensor.jacobian(seen)
+        return np.array([wrap_angle(math.atan2(left, ahead) - self._bearing), distance - self._distance])
 
 
 def graph_of(factor: gtsam.NonlinearFactor) -> gtsam.NonlinearFactorGraph:
