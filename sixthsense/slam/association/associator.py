@@ -104,10 +104,10 @@ class Associator:
         else:
             matches = at(proposed, proposed.estimate())
         self._unknown.add(points, matches.landmark[is_point] < 0)
-        self._count_new_sides(matches, estimate)
-        self._count_new_stretches(observations, matches, estimate.pose)
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
+        self._count_new_sides(matches, estimate)
+        self._count_new_stretches(observations, matches, estimate.pose)
         updated = estimate.pose if proposed is not None else matches.pose
         known, pieces = self._seen_again(observations, matches, estimate, updated)
         nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
