@@ -53,6 +53,7 @@ def main() -> None:
         label = f"{100 * thick_m:.0f} cm thick: mean {found.mean():.2f}, variance {found.var():.2f}"
         right.hist(found, bins, color=color, alpha=0.6, label=label)
     right.set(xlabel="place of the end beyond the true one, over its sigma [1]", ylabel=f"of {SCANS} scans [1]")
+    right.set_ylim(top=1.25 * right.get_ylim()[1])  # the legend is above the bars
     right.legend(frameon=False, loc="upper left")
     plot.save(figure, "apparent_corner.png")
 
