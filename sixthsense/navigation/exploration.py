@@ -20,7 +20,7 @@ from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
 from sixthsense.navigation.path_planner import DETOUR, DrivingMap, margin_m
-from sixthsense.navigation.pose_history import PoseHistory
+from sixthsense.navigation.pose_history import LOST_M, PoseHistory
 from sixthsense.navigation.unseen_places import LEAST_AREA_M2, UnseenPlace, unseen_places
 from sixthsense.navigation.view_planner import NO_TARGET, Candidates, Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
@@ -30,8 +30,6 @@ from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 
 State = Literal["viewing", "closing a loop", "going home"]
-
-_LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 
 
 class Exploration:
@@ -223,7 +221,7 @@ class Exploration:
 
     def _finish(self) -> None:
         explored: Outcome = "explored in part" if self.left else "explored"
-        self.outcome = "lost" if self._history.sigma_m > _LOST_M else explored
+        self.outcome = "lost" if self._history.sigma_m > LOST_M else explored
 
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view from a cell in reach; None if nothing is left to see from there.

@@ -22,7 +22,6 @@ Counts = NDArray[np.uint8]
 
 TRIES = 2
 """a target that was not seen from this many viewpoints, with a full turn at each, is given up: one may mislead"""
-_OUTSIDE_M = 0.5  # outside the region, unknown cells count that lie so near to unseen ones of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +53,8 @@ class AreaToSee:
             False: cells_within(region, cell_m, explore.margin_m),
             True: cells_within(region, cell_m, max(explore.margin_m, laser_m)),
         }
-        self._outside = {False: max(1, round(_OUTSIDE_M / cell_m)), True: round(laser_m / cell_m)}
+        near_m = 0.5 * explore.margin_m  # outside the region, unknown cells count that lie so near to unseen ones of it
+        self._outside = {False: max(1, round(near_m / cell_m)), True: round(laser_m / cell_m)}
 
     @property
     def limits(self) -> Box:

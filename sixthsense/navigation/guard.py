@@ -27,7 +27,7 @@ BUFFER_M = 0.02
 """added to the robot's radius: twice the noise of a range, and the slip of a robot that turns"""
 CREEP = 0.1
 """lowest speed, m/s, to which obstacles beside the robot's arc slow it: it stops within a tick"""
-_REMEMBERED_S = 1.0
+REMEMBERED_S = 1.0
 """of scans before the latest one, whose returns the robot does not touch"""
 _NOTHING = np.zeros((0, 2))
 
@@ -212,13 +212,13 @@ class Guard:
         self._returns = Returns(_NOTHING, _NOTHING, _NOTHING)
         self._since = self._at = Pose()
         period_s, speed = config.laser.period_ticks * config.robot.control_period_s, float(config.robot.speed)
-        count = math.ceil(_REMEMBERED_S / period_s)
+        count = math.ceil(REMEMBERED_S / period_s)
         self._before: deque[Array] = deque(maxlen=count)
         """(K, 2) near returns of each scan before the latest one, frame of the guard's odometry"""
         self._waiting: deque[tuple[Scan, Pose]] = deque(maxlen=count + 1)
         """scans up to the latest one whose returns were not needed yet, and where the robot stood"""
         braking_m = stopping_distance(speed, self.limits.latency_s, self.limits.deceleration)
-        self._near_m = float(radius_m + braking_m + speed * _REMEMBERED_S)
+        self._near_m = float(radius_m + braking_m + speed * REMEMBERED_S)
         """range of the earlier returns that it can touch"""
         self._stopped = False
 

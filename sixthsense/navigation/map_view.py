@@ -29,8 +29,7 @@ from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.inflation import disc
 
-_UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
-_WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
+_WALL = 4  # a wall cell has so many times the fewest hits of an obstacle, and at most so many times its passes per hit
 _MASKS = "seen", "free", "filled", "obstacles", "opaque", "wanted", "blocked", "passable", "tight", "_barred", "_driven"
 _NOWHERE, _NO_CELLS = Box(0, 0, 0, 0), np.zeros((0, 0), dtype=np.bool_)
 
@@ -77,11 +76,11 @@ class MapView:
         """the cells of the masks"""
         self.spare_m = config.grid.clearance_m - BUFFER_M if sees_beside(radius_m, config) else 0.0
         """how much of the clearance the robot gives up in narrow places: it goes where the guard lets it pass"""
-        self._kept_m = radius_m + BUFFER_M + 0.5 * self.spare_m  # the guard's distance, and half of what is left: noise
+        self._guard_m = radius_m + BUFFER_M
         self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
         """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
         self._area = AreaToSee(region, config)
-        self._unknown_reach = round(_UNKNOWN_M / cell_m)
+        self._unknown_reach = max(1, round(self.radius))  # unknown cells farther than this from all seen are no way
         self._sight_margin = round(0.5 * self.radius)  # that lines of sight keep off obstacles
         inflation = math.ceil((radius_m + config.grid.clearance_m) / cell_m) + 1
         self._width = math.floor(2.0 * self.radius)
@@ -163,9 +162,9 @@ class MapView:
         inside = np.zeros_like(barred)
         inside[self._area.limits.within((inner.top, inner.left), barred.shape)] = True
         barred |= ~inside
-        self.tight[part] = self.grid.inflated(inner, -self.spare_m)
+        self.seen[part], self.tight[part] = outer[own], self.grid.inflated(inner, -self.spare_m)
         blocked = barred | self._without_room(part, inner)
-        self.seen[part], self._barred[part], self.blocked[part] = outer[own], barred, blocked
+        self._barred[part], self.blocked[part] = barred, blocked
         self.passable[part] = self.seen[part] & ~blocked
         self._due, self._space = _joined(self._due, inner), None
 
@@ -276,10 +275,22 @@ class MapView:
         covered = self.grid.part("cover", box) > 0
         driven, stopped = self._driven[part], self._stops[part] >= TRIES
         if self._config.safety.guard:
-            near = self.grid.near_returns(box, self._kept_m) if self.spare_m > 0.0 else self.tight[part]
+            near = self._near(part, box) if self.spare_m > 0.0 else self.tight[part]
             return np.asarray((near & ~driven) | (covered & stopped))
         touching = self.grid.inflated(box, -self._config.grid.clearance_m)
         return np.asarray(covered & (touching | ~driven))
+
+    def _near(self, part: tuple[slice, slice], box: Box) -> Bools:
+        """(H, W) the cells of a part of the masks, a box, that are too near to returns for the guard and noise.
+
+        A cell that was open stays so up to the guard's distance: the mean of a gap's returns moves with each look, and
+        a gap that is about as wide as is asked would open and close.
+        """
+        near = self.grid.near_returns(box, self._guard_m + 0.5 * self.spare_m)
+        was_open = self.passable[part] & self.seen[part]
+        if (near & was_open).any():
+            near &= ~was_open | self.grid.near_returns(box, self._guard_m)
+        return near
 
     def free_space(self, margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
         """Where the robot may drive, (K, 2) places covered; with a margin, the cells about an ellipse."""
@@ -334,7 +345,8 @@ class MapView:
     def _known(self, box: Box) -> tuple[Bools, Bools, Bools]:
         """(H, W) the cells of a box that were seen, those of closed walls, and both with what is between two beams."""
         seen, hits, passes = (self.grid.part(name, box) for name in ("seen", "hits", "passes"))
-        wall = (hits >= _WALL_HITS) & (passes <= _WALL_PASSES * hits)
+        least, most = self._config.grid.min_hits, self._config.grid.passes_per_hit
+        wall = (hits >= _WALL * least) & (passes <= _WALL * most * hits)
         closed = close_unseen_gaps(close_gaps(self.grid.part("obstacles", box) | wall), seen, self._width)
         return seen, closed, close_unseen_gaps(seen | closed, seen, self._between_beams)
 

@@ -26,8 +26,7 @@ several, and no path was found during it; stuck: no progress for a while."""
 
 PATIENT_TURNS = 5
 """turns on the spot, half a minute, that a robot without a way waits for people to go"""
-_STUCK_S = 60.0  # least time without progress after which the robot is stuck
-_STUCK_M = 0.1  # progress
+_PROGRESS_M = 2.0 * GOAL_SLACK_M  # of a robot that is not stuck
 _REORIENT = 5.0  # the robot stops and turns on the spot at this multiple of the heading slack
 
 
@@ -130,9 +129,9 @@ class DriverLimits(NamedTuple):
 
     @staticmethod
     def of(config: Config) -> DriverLimits:
-        """Those of a configuration: a slow robot is allowed the time for two turns on the spot and for the distance."""
+        """Those of a configuration: a robot is stuck after twice the time of its patient turns and of some progress."""
         robot = config.robot
-        patience_s = max(_STUCK_S, 2.0 * math.tau / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
+        patience_s = 2.0 * (PATIENT_TURNS * math.tau / robot.turn_rate + _PROGRESS_M / robot.speed)
         follow = FollowLimits.of(config)
         return DriverLimits(GOAL_SLACK_M, patience_s * 10**9, float(robot.turn_rate), follow)
 
@@ -141,19 +140,24 @@ class GoalDrive(NamedTuple):
     """A drive to a goal, as it changes tick by tick."""
 
     goal: tuple[float, float]
-    is_following: bool = False
+    is_following: bool
     """whether there is a path that is being followed"""
-    following: Following = Following(np.zeros((0, 2)), 0, False)
-    is_turning: bool = False
+    following: Following
+    is_turning: bool
     """whether the robot turns on the spot, as long as there is no path"""
-    heading: float = 0.0
+    heading: float
     """at the last tick of that turn"""
-    left_rad: float = 0.0
+    left_rad: float
     """still to be turned"""
-    is_watched: bool = False
+    is_watched: bool
     """whether there is a place since which progress is watched"""
-    anchor: tuple[int, float, float] = (0, 0.0, 0.0)
+    anchor: tuple[int, float, float]
     """stamp (ns) and that place"""
+
+    @staticmethod
+    def towards(goal: tuple[float, float]) -> GoalDrive:
+        """One that stands, without a path yet."""
+        return GoalDrive(goal, False, Following(np.zeros((0, 2)), 0, False), False, 0.0, 0.0, False, (0, 0.0, 0.0))
 
 
 STEERED, STUCK, TURNED = range(3)
@@ -175,7 +179,7 @@ def advanced(
         drive.is_watched, drive.anchor, drive.following, drive.heading, drive.left_rad,
     )  # fmt: skip
     is_turning, speed, turn_rate, event = drive.is_turning, 0.0, 0.0, STEERED
-    if not is_watched or math.hypot(pose[0] - anchor[1], pose[1] - anchor[2]) > _STUCK_M:
+    if not is_watched or math.hypot(pose[0] - anchor[1], pose[1] - anchor[2]) > _PROGRESS_M:
         is_watched, anchor = True, (stamp_ns, pose[0], pose[1])
     elif stamp_ns - anchor[0] > limits.patience_ns:
         is_watched, event = False, STUCK
@@ -200,7 +204,7 @@ class PathDriver:
         """Stand at `pose` with the goal (2,), without a path yet."""
         self.limits = DriverLimits.of(config)
         """when a tick needs more than a command"""
-        self.drive = GoalDrive((float(goal[0]), float(goal[1])))
+        self.drive = GoalDrive.towards((float(goal[0]), float(goal[1])))
         """the state that control ticks change"""
         self._planner = planner
         self._patience_rad = math.tau * (PATIENT_TURNS if config.people else 1)

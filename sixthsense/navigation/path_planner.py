@@ -38,7 +38,7 @@ _PROBABILITY = 0.999
 """with which a path's margin covers the cross-track error of the position: once in a thousand the guard has to stop"""
 DETOUR = 1.2
 """a path with a margin may be this many times as long as the shortest: what a way around one obstacle costs"""
-_SHARES = 0.0, 0.125, 0.25, 0.5, 1.0  # of the margin that is wanted, by which a space is made narrower step by step
+_HALVINGS = 3  # of the margin that is wanted: from none on, a space is made narrower by these shares, step by step
 
 FreeSpaceFunction = Callable[[float, Array, Ellipse | None], FreeSpace]
 """The free space with a margin, metres, that covers (K, 2) places, within an ellipse."""
@@ -85,7 +85,7 @@ def plan_with_margin(
     if plan is not None:
         return plan, whole, wanted_m
     best, space, kept_m, has_gaps = shortest, widest, 0.0, False
-    for share in _SHARES:
+    for share in (0.0, *(0.5**k for k in range(_HALVINGS, -1, -1))):
         margin = share * wanted_m
         narrower = whole if share == 1.0 else free_space(margin, ends, near)
         gaps = np.vstack(

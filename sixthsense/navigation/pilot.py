@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
-from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.guard import REMEMBERED_S, Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.slam.result import Step
 
 TURN_RATE = 0.3
 """rad/s, of a robot that looks for its place"""
-_PATIENCE_NS = 3_000_000_000
+_PATIENCE_S = 3.0
 """time that a stopped robot waits for what moves, before it seeks another way"""
-_NOISE_NS = 500_000_000
-"""time that it waits for another scan to let it pass: in a narrow gap the noise of single returns stops it"""
 
 
 class Pilot:
@@ -49,8 +47,9 @@ class Pilot:
         if self._stopped_ns is None:
             self._stopped_ns = stamp_ns
         # Who walks by is gone in a moment; then the robot goes around.
-        patience_ns = _PATIENCE_NS if self.guard.waits_for_moving else _NOISE_NS
-        if stamp_ns - self._stopped_ns >= patience_ns:
+        # In a narrow gap the noise of single returns stops it, as long as the guard remembers them.
+        patience_s = _PATIENCE_S if self.guard.waits_for_moving else REMEMBERED_S
+        if stamp_ns - self._stopped_ns >= patience_s * 10**9:
             self.navigator.guard_stopped(pose)
         return command
 

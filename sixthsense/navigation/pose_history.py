@@ -11,9 +11,9 @@ from sixthsense.config import ExploreConfig
 from sixthsense.core.geometry import Array, Pose
 
 _WELL_KNOWN = 0.5  # a place is worth a loop closure if sigma there was at most this share of the present one
-_NEXT_LOOP_CLOSURE = 1.5  # growth of sigma before another loop closure is tried
 LOOP_CLOSURE_SIGMA_M = 0.1  # a position is uncertain above this: it is two cells of the map, and shifts a wall visibly
-_MOST_LOOP_CLOSURE = 4.0  # times this: the most that a loop closure may come to need
+LOST_M = 0.4
+"""a robot whose position is less certain cannot say what it has explored: then a loop closure is always due"""
 
 
 class PoseHistory:
@@ -60,8 +60,8 @@ class PoseHistory:
 
         Far from where it is certain, a robot that comes back by the same way is about as uncertain as before.
         """
-        self._much_less_m = _NEXT_LOOP_CLOSURE * self.sigma_m
-        self._loop_closure_threshold_m = min(self._much_less_m, _MOST_LOOP_CLOSURE * LOOP_CLOSURE_SIGMA_M)
+        self._much_less_m = self.sigma_m / _WELL_KNOWN
+        self._loop_closure_threshold_m = min(self._much_less_m, LOST_M)
 
     def well_known_places(self) -> Array:
         """(K, 4) positions with obstacles in reach that were much more certain than the present one.

@@ -17,12 +17,11 @@ from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions
 from sixthsense.navigation.tour import TileWays, view_order
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
-from sixthsense.navigation.views import KnownViews, View, ViewGain
+from sixthsense.navigation.views import PIECE_M, KnownViews, View, ViewGain
 from sixthsense.slam.mapping.freespace import Bools
 
 IGNORED_AREA_FRACTION = 0.001
 """of the area seen: small unseen areas, the smallest first, that are together no larger are not worth a way"""
-_TILE_M = 1.0  # longer frontiers are split
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 
 
@@ -203,4 +202,4 @@ class ViewPlanner:
     @property
     def tile(self) -> int:
         """Side of the squares that frontiers are split into, cells."""
-        return max(1, round(_TILE_M / self.view.cell_m))
+        return max(1, round(PIECE_M / self.view.cell_m))

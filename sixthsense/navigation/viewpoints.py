@@ -12,8 +12,8 @@ from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.visibility import line_of_sight
 from sixthsense.slam.mapping.freespace import Bools
 
-_DIRECTIONS, _RANGES = 1 << 24, 1024
-"""that a search tells apart, and of which it remembers at most so many ranges"""
+_DIRECTIONS = 1 << 24
+"""that a search tells apart"""
 Cell = tuple[int, int]
 """Row and column."""
 
@@ -77,7 +77,8 @@ def _nearest(tiles: Bools, allowed: Bools, obstacles: Bools, row: int, col: int,
     width = allowed.shape[1]
     if allowed[row, col]:
         return int(row * width + col)
-    ranges, count = np.empty((_RANGES, 2), dtype=np.int64), 1  # of directions that are open, in their order
+    # Of directions that are open, in their order: no more are told apart than the largest square has cells.
+    ranges, count = np.empty((8 * int(reach) + 1, 2), dtype=np.int64), 1
     ranges[0, 0], ranges[0, 1] = 0, _DIRECTIONS
     hiding = np.empty((8 * int(reach) + 1, 2), dtype=np.int64)
     best, found = np.nextafter(reach, np.inf), -1
@@ -199,7 +200,7 @@ def _without(ranges: NDArray[np.int64], count: int, low: int, past: int) -> int:
         if end <= low:
             k += 1
         elif first < low and end > past:
-            if count == _RANGES:
+            if count == len(ranges):
                 break
             for i in range(count, k + 1, -1):
                 ranges[i, 0], ranges[i, 1] = ranges[i - 1, 0], ranges[i - 1, 1]

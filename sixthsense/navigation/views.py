@@ -101,8 +101,9 @@ class KnownViews:
         return kept
 
 
+PIECE_M = 1.0
+"""longer frontiers are split, and a view past the edge of an obstacle is completed from no farther off"""
 _GAIN_DEPTH_M = 3.0  # how far into unknown space a view is expected to reach
-_NEARBY_M = 1.0  # from unseen cells: how far off a view past the edge of an obstacle is completed
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +115,7 @@ class SensorModel:
     reach: float
     """range within which a cell is seen, in cells"""
     gapless_reach: float
-    """range within which no cell falls between two beams, with some slack, in cells"""
+    """range within which no cell falls between two beams, in cells"""
     turn_rad: float
     """turn at a viewpoint that covers all directions, and the gaps between beams"""
 
@@ -126,8 +127,8 @@ class SensorModel:
         return cls(
             rays=max(8, round(math.pi / spacing)),
             reach=reach,
-            gapless_reach=max(2.0, min(0.8 / spacing, reach)),
-            turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * keyframe_turn_rad + 0.1,
+            gapless_reach=max(2.0, min(1.0 / spacing, reach)),
+            turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 4.0 * keyframe_turn_rad,
         )
 
 
@@ -154,12 +155,12 @@ class ViewGain:
 
     def span(self, view: Cell, cell: Cell) -> int:
         """How many rows and columns around a cell determine its nearest view and what that shows."""
-        around = (_NEARBY_M + _GAIN_DEPTH_M) / self.view.cell_m + self.view.radius
+        around = (PIECE_M + _GAIN_DEPTH_M) / self.view.cell_m + self.view.radius
         return math.ceil(2.0 * math.dist(view, cell) + around)
 
     def shown_nearby(self, wanted: Bools, cell: Cell, enough: float) -> int:
         """How many of the `wanted` cells the nearest view of a cell shows, if the robot needs no clearance."""
-        radius, span = self.view.radius, _NEARBY_M / self.view.cell_m
+        radius, span = self.view.radius, PIECE_M / self.view.cell_m
         around = math.ceil(span + radius)
         top, left = (max(k - around, 0) for k in cell)
         part = slice(top, cell[0] + around + 1), slice(left, cell[1] + around + 1)

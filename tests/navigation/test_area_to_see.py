@@ -27,9 +27,9 @@ def test_the_robot_drives_within_a_margin_or_as_far_outside_as_its_laser_reaches
     assert area.limits == Box(*low, *high)
 
 
-def test_unknown_cells_beside_those_of_the_region_count_up_to_half_a_metre_outside() -> None:
+def test_unknown_cells_beside_those_of_the_region_count_up_to_half_of_the_margin_outside() -> None:
     area = AreaToSee(REGION, CONFIG)
-    assert area.narrow_outside == round(0.5 / CELL_M)
+    assert area.narrow_outside == round(0.5 * 0.37 / CELL_M)
     box = Box(-60, -60, 60, 60)
     unknown, attempts = np.ones((120, 120), dtype=np.bool_), np.zeros((120, 120), dtype=np.int64)
     rows, cols = (np.argwhere(area.to_see(unknown, box, attempts)).T + np.array([[box.top], [box.left]])).tolist()

@@ -252,8 +252,8 @@ def test_a_loop_closure_that_does_not_help_is_repeated_only_when_the_pose_is_muc
     stage.look(pose, sigma_m=0.2)
     stage.exploration.handle("arrived", START)
     assert stage.exploration.state == "viewing"
-    assert stage.look(pose, sigma_m=0.25) == "viewing"
-    assert stage.look(pose, sigma_m=0.35) == "closing a loop"
+    assert stage.look(pose, sigma_m=0.39) == "viewing"
+    assert stage.look(pose, sigma_m=0.41) == "closing a loop"
 
 
 def test_a_robot_that_would_go_back_as_it_came_does_not() -> None:

@@ -92,7 +92,9 @@ def test_a_way_point_within_the_slack_of_distance_is_reached_and_none_is_oversho
 
 
 DRIVER = DriverLimits(goal_slack_m=0.06, patience_ns=7e9, turn_rate=1.1, follow=OWN)
-DRIVE = GoalDrive((4.1, 2.0), True, Following(WAY, 1, True), is_watched=True, anchor=(3 * 10**9, AT[0], AT[1]))
+DRIVE = GoalDrive.towards((4.1, 2.0))._replace(
+    is_following=True, following=Following(WAY, 1, True), is_watched=True, anchor=(3 * 10**9, AT[0], AT[1])
+)
 TURN = DRIVE._replace(is_following=False, is_turning=True, heading=3.13, left_rad=0.05)  # across the cut
 
 

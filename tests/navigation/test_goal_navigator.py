@@ -176,7 +176,7 @@ def test_a_robot_that_gets_nowhere_is_stuck_after_a_minute() -> None:
     navigator.look(grid, believed(Pose()))
     outcomes = [(s, navigator.step(Pose(), s * 10**9) and navigator.outcome) for s in range(0, 80)]
     first = next(s for s, outcome in outcomes if outcome == "stuck")
-    assert first == 61
+    assert first == 64
 
 
 def test_a_slow_robot_has_the_time_it_needs() -> None:

@@ -293,8 +293,8 @@ def test_a_robot_much_noisier_than_assumed_touches_nothing(name: str, changes: d
     assert measure(driven(config, SuddenWall))["collisions"] == 0
 
 
-@pytest.mark.parametrize(("distance_m", "moves", "told_s"), [(0.02, False, 1.2), (0.1, True, 3.7)])
-def test_a_stopped_robot_waits_half_a_second_and_three_for_someone_before_it_seeks_another_way(
+@pytest.mark.parametrize(("distance_m", "moves", "told_s"), [(0.02, False, 1.7), (0.1, True, 3.7)])
+def test_a_stopped_robot_waits_a_second_and_three_for_someone_before_it_seeks_another_way(
     distance_m: float, moves: bool, told_s: float
 ) -> None:
     told: list[float] = []

@@ -39,10 +39,10 @@ def test_a_place_that_is_always_as_uncertain_is_left_for_one_loop_closure_only()
     made = history(0.02, 0.12)
     made.postpone_loop_closure()
     for _ in range(3):
-        for sigma_m in (0.02, 0.12, 0.17):
+        for sigma_m in (0.02, 0.12, 0.23):
             made.add(Pose(), np.diag([sigma_m**2, 0.0, 0.0]), True)
             assert not made.needs_loop_closure
-    made.add(Pose(), np.diag([0.19**2, 0.0, 0.0]), True)
+    made.add(Pose(), np.diag([0.25**2, 0.0, 0.0]), True)
     assert made.needs_loop_closure
 
 

@@ -106,6 +106,27 @@ def test_a_passage_is_open_if_it_leaves_the_robot_five_centimetres_on_either_sid
     assert is_open(stage) is passed
 
 
+def look_through(stage: Stage, width: float, angle: float, looks: int) -> bool:
+    """Look so often through a passage of some width, in place of the stage's walls; whether it is open then."""
+    stage.walls = passage(width, angle, 0.4)
+    for _ in range(looks):
+        for off in (-3.0, -1.6, -1.0, -0.4, 0.3, 0.8, 1.4, 2.8):
+            x, y = np.array([4.013, 1.487]) + off * np.array([np.cos(angle), np.sin(angle)])
+            stage.see(Pose(x, min(max(y, 0.4), 2.6), angle))
+    stage.look(START)
+    return is_open(stage)
+
+
+@pytest.mark.parametrize("angle", [0.2, 0.8])
+def test_a_gap_that_was_open_stays_so_while_the_guard_lets_the_robot_through(angle: float) -> None:
+    """The guard does between returns that are .44 m apart; .47 m are asked of a gap that was not open."""
+    stage, other = (Stage(passage(0.49, angle, 0.4), {"safety": {"guard": True}}) for _ in range(2))
+    assert not look_through(other, 0.455, angle, 9)
+    assert look_through(stage, 0.49, angle, 3)
+    assert look_through(stage, 0.455, angle, 40)
+    assert not look_through(stage, 0.41, angle, 80)
+
+
 def test_whether_a_gap_can_be_passed_does_not_depend_on_where_the_robot_stands() -> None:
     near, far = (seen_from_both_sides(NARROW) for _ in range(2))
     for stage, place in ((near, Pose(3.6, 1.5, 0.0)), (far, Pose(1.0, 2.4, 0.0))):
