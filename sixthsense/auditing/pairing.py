@@ -13,6 +13,7 @@ from sixthsense.auditing import rotations
 from sixthsense.auditing.poses import Frame, Poses, interpolated, is_of_plane, tilted
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.core.source import seconds
 from sixthsense.evaluation.effective import effective_number, whitened_errors
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
@@ -104,7 +105,7 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     at = estimate.stamps_ns + offset_ns
     inside = (at >= truth.stamps_ns[0]) & (at <= truth.stamps_ns[-1])
     if len(truth) < 2 or not inside.any():
-        spans = [f"{one[0] * 1e-9:.3f} to {one[-1] * 1e-9:.3f} s" for one in (at, truth.stamps_ns)]
+        spans = [f"{seconds(one[0]):.3f} to {seconds(one[-1]):.3f} s" for one in (at, truth.stamps_ns)]
         raise InputError(
             "stamps",
             f"found {estimate.name} from {spans[0]} and {truth.name} from {spans[1]}",

@@ -17,6 +17,7 @@ from sixthsense.auditing.pairing import Errors
 from sixthsense.auditing.statistics import Findings, Outcome
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
+from sixthsense.core.source import seconds
 from sixthsense.evaluation.effective import (
     LEAST_SAMPLES,
     effective_number,
@@ -128,8 +129,8 @@ def _horizons(errors: Errors, positions: Array) -> tuple[tuple[float, float], ..
         moved = errors.error[step:] - (carry @ errors.error[:-step, :, None])[:, :, 0]
         cov = errors.cov[step:] + carry @ errors.cov[:-step] @ rotations.transposed(carry)
         ratio = float(np.einsum("ki,ki->k", moved, np.linalg.solve(cov, moved[:, :, None])[:, :, 0]).mean()) / dof
-        seconds = float(np.median(errors.stamps_ns[step:] - errors.stamps_ns[:-step])) * 1e-9
-        found.append((seconds, ratio))
+        apart_s = seconds(float(np.median(errors.stamps_ns[step:] - errors.stamps_ns[:-step])))
+        found.append((apart_s, ratio))
     return tuple(found)
 
 

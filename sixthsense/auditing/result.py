@@ -19,6 +19,7 @@ from sixthsense.auditing.statistics import AXES, Factor, Findings, Outcome, fact
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
+from sixthsense.core.source import seconds
 from sixthsense.evaluation.effective import LEAST_SAMPLES
 from sixthsense.figures.canvas import in_millimetres
 from sixthsense.figures.overtime import BAND, draw_tube
@@ -353,4 +354,4 @@ def _some(count: int) -> Any:
 
 
 def _seconds(run: Errors) -> Array:
-    return np.asarray((run.stamps_ns - run.stamps_ns[0]) * 1e-9)
+    return np.asarray(seconds(run.stamps_ns - run.stamps_ns[0]))

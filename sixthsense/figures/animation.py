@@ -15,7 +15,7 @@ from PIL import Image
 from sixthsense.config import load_config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Tick, seconds
 from sixthsense.figures.plot import (
     ESTIMATE,
     LANDMARK,
@@ -224,7 +224,7 @@ class _MapDrawing:
         self._walls.set_segments(extents)
         shown = {"points": points, "plan": plan, "path": np.array(trace.estimates)[:, :2]}
         shown["heading"] = np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])])
-        parts, seen = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"], grid.seen
+        parts, seen = [f"{seconds(tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"], grid.seen
         if seen.any():
             parts.append(f"{np.count_nonzero(seen) * self._config.grid.cell_m**2:.0f} m² seen")
         if trace.key_estimates:

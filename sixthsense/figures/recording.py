@@ -9,7 +9,7 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Tick, seconds
 from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
@@ -47,7 +47,7 @@ class Recording:
 
     def time_s(self, k: int) -> float:
         """Time of keyframe k since the first one, seconds."""
-        return 1e-9 * (self.trace.key_stamps_ns[k] - self.trace.key_stamps_ns[0])
+        return seconds(self.trace.key_stamps_ns[k] - self.trace.key_stamps_ns[0])
 
     def grid(self, k: int) -> Grid:
         """The grid after keyframe k, rebuilt from the keyframes up to it."""

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Tick, seconds
 from sixthsense.sources.logs.log import GAP_S, JOLT_M, JOLT_RAD, pose_between
 
 JUMP_NS = 1_000_000_000
@@ -155,7 +155,7 @@ class ScanJoiner:
             if time_ns <= newest_ns:
                 self.dropped["odometry twice" if time_ns == newest_ns else "odometry out of order"] += 1
                 return False
-            went, pause_s = self.T_old_odom @ T_odom_robot, 1e-9 * (time_ns - newest_ns)
+            went, pause_s = self.T_old_odom @ T_odom_robot, seconds(time_ns - newest_ns)
             if is_restarted or self._is_elsewhere(before, went, pause_s):
                 self.T_old_odom = before @ T_odom_robot.inverse()
                 reach_m = _FASTER * self._robot.speed * pause_s
@@ -217,7 +217,7 @@ class ScanJoiner:
             if at_ns == time_ns:
                 return pose
         for before, after in pairwise(self._odometry):
-            if before[0] < time_ns < after[0] and 1e-9 * (after[0] - before[0]) <= GAP_S:
+            if before[0] < time_ns < after[0] and seconds(after[0] - before[0]) <= GAP_S:
                 return pose_between(before, after, time_ns)
         return None
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import Tick
+from sixthsense.core.source import Tick, seconds
 from sixthsense.sources.logs.clocks import MIRRORED, are_mirrored, clock_offset_s, least_s
 from sixthsense.sources.logs.log import longest_s, pose_between
 from sixthsense.sources.logs.stamps import passed_s, shown_span
@@ -61,7 +61,7 @@ def one_clock(
             spans = shown_span([each.own_ns for each in scans]), shown_span(stamps)
             raise ValueError(f"found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
         return list(scans), list(odometry)
-    delays_s = [1e-9 * float(np.median([each.record_ns - each.own_ns for each in of])) for of in (scans, odometry)]
+    delays_s = [seconds(float(np.median([each.record_ns - each.own_ns for each in of]))) for of in (scans, odometry)]
     by_record_s = delays_s[1] - delays_s[0]
     is_of_scans = abs(delays_s[0]) > abs(delays_s[1]) and abs(offset_s - by_record_s) < _AGREE_S
     back_s = by_record_s if is_of_scans else 0.0

@@ -13,7 +13,7 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Command, Source, Tick
+from sixthsense.core.source import Command, Source, Tick, seconds
 from sixthsense.sources.logs.stamps import passed_s, stamp_remarks
 from sixthsense.sources.logs.text_lines import read_table
 
@@ -70,7 +70,7 @@ class Log:
     @property
     def duration_s(self) -> float:
         """Record time from the first tick to the last, seconds."""
-        return (self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns) * 1e-9
+        return seconds(self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns)
 
     def remarks(self) -> list[str]:
         """What a user should know of this log, a line each: what was assumed, what it lacks, what was left out."""
@@ -127,7 +127,7 @@ def gaps_of(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
         longest = gaps[np.argmax(periods_s[gaps])]
         lines.append(
             f"odometry has {len(gaps)} gaps, the longest of {periods_s[longest]:.1f} s after "
-            f"{1e-9 * (stamps_ns[longest] - stamps_ns[0]):.1f} s; it comes every {usual_s:.3f} s otherwise"
+            f"{seconds(stamps_ns[longest] - stamps_ns[0]):.1f} s; it comes every {usual_s:.3f} s otherwise"
         )
     return lines
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.source import seconds
 
 _EXACT_S = 1e-6
 """What a float holds of a stamp in seconds since 1970, and less than any two scans are apart."""
@@ -86,7 +87,8 @@ def from_zero_on(stamps_ns: NDArray[np.int64], remarks: list[str]) -> NDArray[np
     least = int(stamps_ns.min(initial=0))
     if least >= 0:
         return stamps_ns
-    remarks.append(f"stamps begin at {1e-9 * least:.3f} s: those of the run are {-1e-9 * least:.3f} s later, from 0 on")
+    least_s = seconds(least)
+    remarks.append(f"stamps begin at {least_s:.3f} s: those of the run are {-least_s:.3f} s later, from 0 on")
     return stamps_ns - least
 
 
