@@ -50,6 +50,7 @@ FOUND = (
     ("sensor_yaw_rad", ".3f"),
     ("sensor_forward_m", ".3f"),
     ("sensor_bearing_scale_error", ".3f"),
+    ("sensor_centre_tangent", ".3f"),
 )
 
 

@@ -91,10 +91,12 @@ _GROUPS = {
     "Sensor": (
         ("sensor_yaw_rad", "rad", "direction of the sensor beyond the assumed one, as estimated"),
         ("sensor_forward_m", "m", "place of the sensor along the robot's x axis beyond the assumed one, as estimated"),
-        ("sensor_bearing_scale_error", "1", "true bearings are 1 + this times those the sensor reports, as estimated"),
+        ("sensor_bearing_scale_error", "1", "tangents of true bearings are 1 + this times those the sensor reports"),
+        ("sensor_centre_tangent", "1", "tangent of the true bearing of what the sensor reports on its axis"),
         ("sensor_yaw_sigma_rad", "rad", "standard deviation of the estimated sensor_yaw_rad"),
         ("sensor_forward_sigma_m", "m", "standard deviation of the estimated sensor_forward_m"),
         ("sensor_bearing_scale_sigma", "1", "standard deviation of the estimated sensor_bearing_scale_error"),
+        ("sensor_centre_sigma", "1", "standard deviation of the estimated sensor_centre_tangent"),
     ),
     "Scans": (
         ("scans", "1", "scans processed"),

@@ -224,7 +224,7 @@ class Trace:
     wheels: Array | None = None
     """(2, 5) the wheels' parameters at the end, in the order of `core.wheels.Wheels`, and their sigmas; if estimated"""
     sensor: Array | None = None
-    """(2, 3) the same of the sensor of points, in the order of `core.sensor.Sensor`"""
+    """(2, 4) the same of the sensor of points, in the order of `core.sensor.Sensor`"""
     relations: Relations | None = None
     """hand-checked relations, the reference of the trajectory's error"""
     grid: Grid | None = None

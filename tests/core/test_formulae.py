@@ -72,7 +72,7 @@ def test_priors_have_the_variances_that_are_configured():
     expected[0, 1] = expected[1, 0] = 0.0025
     assert wheels == pytest.approx(expected)
     assert wheel_prior(assumed).with_sigmas()[1] == pytest.approx(np.sqrt(np.diag(expected)))
-    assert sensor_prior().with_sigmas().tolist() == [[0.0] * 3, pytest.approx([0.03, 0.1, 0.03])]
+    assert sensor_prior().with_sigmas().tolist() == [[0.0] * 4, pytest.approx([0.03, 0.1, 0.03, 0.03])]
 
 
 @pytest.mark.parametrize("distribution, divisor", [("gaussian", 1.0), ("uniform", 3.0)])

@@ -224,8 +224,8 @@ def test_estimated_parameters_have_their_own_keys_and_sigmas(found):
     sigmas = ("wheel_forward_scale_sigma", "wheel_turn_scale_sigma", "wheel_drift_sigma_rad_per_m",
               "wheel_latency_sigma_s", "wheel_curve_loss_sigma_m_per_rad")  # fmt: skip
     assert [[found[key] for key in row] for row in (names, sigmas)] == TRACE.wheels.tolist()
-    names = ("sensor_yaw_rad", "sensor_forward_m", "sensor_bearing_scale_error")
-    sigmas = ("sensor_yaw_sigma_rad", "sensor_forward_sigma_m", "sensor_bearing_scale_sigma")
+    names = ("sensor_yaw_rad", "sensor_forward_m", "sensor_bearing_scale_error", "sensor_centre_tangent")
+    sigmas = ("sensor_yaw_sigma_rad", "sensor_forward_sigma_m", "sensor_bearing_scale_sigma", "sensor_centre_sigma")
     assert [[found[key] for key in row] for row in (names, sigmas)] == TRACE.sensor.tolist()
 
 

@@ -118,8 +118,8 @@ class OfSensor(Kept):
 
     label, prior, true = (
         "sensor",
-        ParameterEstimate(Sensor(), np.diag([0.03, 0.1, 0.03]) ** 2),
-        Sensor(0.02, -0.08, 0.03),
+        ParameterEstimate(Sensor(), np.diag([0.03, 0.1, 0.03, 0.03]) ** 2),
+        Sensor(0.02, -0.08, 0.03, -0.02),
     )
 
     def look(self, estimator: Filter) -> None:

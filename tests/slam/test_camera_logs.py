@@ -20,7 +20,7 @@ from sixthsense.slam.slam import Slam
 PERIOD_S, FRAME = 0.05, 5
 ANGLES = np.linspace(-np.pi, np.pi, 14, endpoint=False)
 POINTS = np.column_stack([5.0 * np.cos(ANGLES), 4.0 * np.sin(ANGLES)])
-CAMERA, DELAY_S, CURVE_LOSS_M = Sensor(0.03, -0.08, 0.03), 0.2, 0.08
+CAMERA, DELAY_S, CURVE_LOSS_M = Sensor(0.03, -0.08, 0.03, -0.02), 0.2, 0.08
 NOISE = {
     "motion": {"speed": 0.0, "turn_rate": 0.0, "slip_position_per_sqrt_m": 0.01, "slip_position_per_sqrt_rad": 0.005,
                "slip_heading_per_sqrt_m": 0.01, "slip_heading_per_sqrt_rad": 0.01},
@@ -88,7 +88,7 @@ def test_the_delay_of_commands_the_loss_in_curves_and_the_mount_are_found(estima
         ("sensor", sensor, CAMERA.array()),
     ):
         assert np.all(np.abs(found - true) < 3.5 * sigmas), name
-    assert np.all(wheels[1, 3:] < [0.02, 0.02]) and np.all(sensor[1] < [0.02, 0.05, 0.02])
+    assert np.all(wheels[1, 3:] < [0.02, 0.02]) and np.all(sensor[1] < [0.02, 0.05, 0.02, 0.02])
     assert abs(wheels[0, 0]) < 3.5 * wheels[1, 0]
     blind = run(ticks, estimator=estimator, calibrate_wheels=False, calibrate_sensor=False)[1]
     assert np.hypot(*error[:2]) < 0.15 and np.hypot(*error[:2]) < 0.5 * np.hypot(*blind[:2])
@@ -98,7 +98,7 @@ def test_pose_wheels_and_sensor_are_consistent_over_seeds():
     of_pose, of_all = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        camera = Sensor.from_array(rng.standard_normal(3) * [0.03, 0.1, 0.03])
+        camera = Sensor.from_array(rng.standard_normal(4) * [0.03, 0.1, 0.03, 0.03])
         result, error = run(camera_log(rng, 24.0, camera, DELAY_S, 0.1 * rng.standard_normal()))
         of_pose.append(normalised(error, result.estimate.pose_cov))
         of_all.append(normalised(result.sensor.values.array() - camera.array(), result.sensor.cov))
