@@ -12,12 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.covariance import SIGNIFICANT, chi_square_quantile
+from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.corners import Scatter
 from sixthsense.slam.association.displacement import Displacement
 from sixthsense.slam.association.matching import Matches, Usual, compare_known, match
+from sixthsense.slam.association.named import Contradictions
 from sixthsense.slam.association.observed import (
     Distances,
     Mask,
@@ -73,7 +74,7 @@ class Associator:
         self._of_sides = Displacement()
         self._unknown = UnknownPoints(config.new_separation_m)
         self._prior, self._are_free = frozenset(self.records), are_free
-        self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
+        self._contradictions = Contradictions(config.known_probability)
 
     def associate(
         self, observations: Sequence[Observation], estimator: Belief, proposed: ProposedLandmarks | None = None
@@ -168,25 +169,37 @@ class Associator:
         return record.shape.square_m2(self._crookedness.excess) + self._of_stretches.square_m2
 
     def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
-        """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
+        """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones.
+
+        Where different landmarks contradict the estimate, and agree with each other, the robot has slipped.
+        """
         self._scan += 1
         estimate = estimator.estimate()
         known = set(estimate.ids.tolist())
         old = [i for i in observations if i in known]
         misread: set[LandmarkId] = set()
-        nis = 0.0
+        nis, slip = 0.0, None
         if old:
             innovation = compare_known(observations, old, estimate, estimator)
-            kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
+            gates = [self._contradictions.gate(self.records[i]) for i in old]
+            kept = np.flatnonzero(np.diag(innovation.squared) <= gates)
             misread = set(old) - {old[k] for k in kept}
             nis = innovation.nis([observations[old[k]] for k in kept], kept)
+            self._contradictions.add({i: observations[i] for i in misread}, estimate, self.records)
+            if len(kept):
+                self._contradictions.agreed()
+            elif found := self._contradictions.slip(estimate, estimator):
+                self._contradictions.explained()
+                slip, misread = found[0], misread - set(found[1])
         accepted = {i: observation for i, observation in observations.items() if i not in misread}
+        if self._contradictions.is_robot_doubtful:  # what is new would be put into a wrong place
+            accepted = {i: accepted[i] for i in accepted if i in known}
         for i, observation in accepted.items():
             record = self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan))
             record.observations += 1
             record.last_scan = self._scan
-        dof = 2 * (len(old) - len(misread))
-        return Association(accepted, len(misread), nis, dof)
+        dof = 2 * (len(old) - len(misread)) if slip is None else 0
+        return Association(accepted, len(observations) - len(accepted), nis, dof, slip=slip)
 
     def nis(self, observations: Mapping[LandmarkId, Observation], estimator: Belief) -> tuple[float, int]:
         """Normalised innovation squared of all observations, and its degrees of freedom; new landmarks left out."""
@@ -203,11 +216,15 @@ class Associator:
 
         They were seen too rarely, duplicate an older wall, or are of a prior map and no longer there.
         """
+        disproved = self._contradictions.disproved(self.records)
+        for i in disproved:
+            del self.records[i]
+        self.culled += len(disproved)
         if self._scan % CULL_PERIOD:
-            return []
+            return disproved
         culled = self._culled()
         merged = self._merged(estimator, estimate)
-        return [*culled, *merged, *self._vanished(estimate)]
+        return [*disproved, *culled, *merged, *self._vanished(estimate)]
 
     def _vanished(self, estimate: Estimate) -> list[LandmarkId]:
         """Landmarks of a prior map that were not seen for a period, where the map shows the most of them free."""

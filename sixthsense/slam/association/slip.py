@@ -23,7 +23,7 @@ _LEAST = 3
 _SIGMA_M, _STEP_RAD = 0.5, 0.25
 """sigma of the position, and the step of the headings that are tried, whose sigma is half of it"""
 _STEPS = sorted(range(-2, 3), key=abs)
-_SIGMAS = np.array([_SIGMA_M, _SIGMA_M, max(_STEPS) * _STEP_RAD])
+SLIP_SIGMAS = np.array([_SIGMA_M, _SIGMA_M, max(_STEPS) * _STEP_RAD])
 """of a slip, m, m and rad"""
 
 
@@ -66,7 +66,7 @@ def matches_after_slip(
             continue
         slip = Odometry(estimate.pose.inverse() @ found.pose, cov)  # geometry is compared anew where these matches are
         found = _after(slip, at, belief)
-        worth = found.worth - float(np.sum((slip.motion.array() / _SIGMAS) ** 2)) - price
+        worth = found.worth - float(np.sum((slip.motion.array() / SLIP_SIGMAS) ** 2)) - price
         if worth > most:
             best, by, most = found, slip, worth
     return best, by
