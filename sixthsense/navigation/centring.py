@@ -11,11 +11,11 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.planners.shortcut import path_is_free
+from sixthsense.navigation.ways import NEAR_M
 from sixthsense.slam.mapping.changes import box_of
 from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
-_AHEAD_M = 2.0  # of the path is centred: what is farther will be seen better
 _ROUNDS = 4  # the first moves a point to the middle between straight walls, the others it and its neighbours at corners
 
 
@@ -27,7 +27,7 @@ def centred(grid: Grid, space: FreeSpace, path: Array) -> Array | None:
     cell_m, tight_m = space.cell_m, grid.inflation_m
     reach_m = tight_m + cell_m
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-    past = min(_AHEAD_M, along[-1])
+    past = min(NEAR_M, along[-1])
     at = np.union1d(along[along < past], np.append(np.arange(cell_m, past, cell_m), past))
     dense = np.column_stack([np.interp(at, along, path[:, axis]) for axis in (0, 1)])
     box = box_of(np.floor(dense[:, ::-1] / cell_m).astype(np.int64)).grown(int(reach_m / cell_m) + 2)

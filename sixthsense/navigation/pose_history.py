@@ -12,8 +12,9 @@ from sixthsense.core.geometry import Array, Pose
 
 _WELL_KNOWN = 0.5  # a place is worth a loop closure if sigma there was at most this share of the present one
 LOOP_CLOSURE_SIGMA_M = 0.1  # a position is uncertain above this: it is two cells of the map, and shifts a wall visibly
-LOST_M = 0.4
-"""a robot whose position is less certain cannot say what it has explored: then a loop closure is always due"""
+LOST_M = LOOP_CLOSURE_SIGMA_M / _WELL_KNOWN**2
+"""a robot whose position is less certain, after two loop closures that gave nothing, cannot say what it has explored;
+then another is always due"""
 
 
 class PoseHistory:

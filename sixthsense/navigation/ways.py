@@ -17,7 +17,9 @@ from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
-_OUT_M = 2.0  # longest way out of the inflation over tight cells
+NEAR_M = 2.0
+"""of a way that is led by what is seen of obstacles now, out of the inflation or through a gap; the rest will be seen
+better"""
 _STEP = 0.1  # cells between the points of a path whose cells are its own: fewer would cut corners
 _OVERLAP = np.uint8(4)  # on the way out, price of cells where, if the map is right, the robot does not fit
 
@@ -28,7 +30,7 @@ def way_out(grid: Grid, space: FreeSpace, start: Array, clearance_m: float) -> A
     What only the clearance blocks is as safe as the map is. What the robot's disc closes is dearer: if the map is
     right, it does not fit there, and noise has put it inside the disc around an obstacle.
     """
-    cell_m, reach = space.cell_m, math.ceil(_OUT_M / space.cell_m) + 1
+    cell_m, reach = space.cell_m, math.ceil(NEAR_M / space.cell_m) + 1
     row, col = (math.floor(start[k] / cell_m) for k in (1, 0))
     box = Box(row - reach, col - reach, row + reach + 1, col + reach + 1)
     overlap, obstacles = grid.inflated(box, -clearance_m), grid.inflated(box, -math.inf)
@@ -36,7 +38,7 @@ def way_out(grid: Grid, space: FreeSpace, start: Array, clearance_m: float) -> A
     rows, cols = np.arange(box.top, box.bottom), np.arange(box.left, box.right)
     down, across = round(space.origin[1] / cell_m), round(space.origin[0] / cell_m)
     costs = costs_from(prices, reach, reach)
-    reached = ~space.window(rows - down, cols - across) & (costs >= 0) & (costs * cell_m <= _OUT_M * STRAIGHT)
+    reached = ~space.window(rows - down, cols - across) & (costs >= 0) & (costs * cell_m <= NEAR_M * STRAIGHT)
     if not reached.any():
         return None
     nearest = np.argmin(np.where(reached, costs, np.iinfo(costs.dtype).max))
