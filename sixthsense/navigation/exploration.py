@@ -101,6 +101,7 @@ class Exploration:
         if event == "stuck" and self._stuck:
             self.outcome = "stuck"
         elif self.state == "closing a loop":
+            self._history.came_back()
             self._choose_view(pose)
         elif self.state == "going home":
             self._finish() if event == "arrived" else self._look_for_a_way_home(pose)
@@ -199,7 +200,9 @@ class Exploration:
         if not np.isfinite(lengths).any():
             return False
         self.state, self._target, self._turning, self._has_seen_more = "closing a loop", NO_TARGET, False, False
-        self.driver.head_for(places[int(np.argmin(lengths)), :2], pose)
+        place = places[int(np.argmin(lengths))]
+        self._history.go_back(place)
+        self.driver.head_for(place[:2], pose)
         return True
 
     def _look_for_a_way_home(self, pose: Pose) -> None:

@@ -27,6 +27,7 @@ class PoseHistory:
         self._explore = explore
         self._loop_closure_threshold_m = LOOP_CLOSURE_SIGMA_M
         self._much_less_m = math.inf
+        self._promised_m = math.inf  # sigma at the place that the robot goes back to
         self.way_m = 0.0
         """driven until the latest position"""
         self._rows: list[tuple[float, float, float, float]] = []  # x, y, sigma, and the way driven until there
@@ -71,6 +72,18 @@ class PoseHistory:
         """
         places = [(x, y, s, self.way_m - way) for x, y, s, way in self._rows if s <= _WELL_KNOWN * self.sigma_m]
         return np.array(places).reshape(-1, 4)
+
+    def go_back(self, place: Array) -> None:
+        """Take in that the robot goes back to one of the `well_known_places`, (4,)."""
+        self._promised_m = float(place[2])
+
+    def came_back(self) -> None:
+        """Take in that going back is over: if the position is as uncertain, places known hardly better give no more.
+
+        Else the robot would go back to them again and again.
+        """
+        least_m = _WELL_KNOWN * self._promised_m
+        self._rows = [(x, y, max(s, self.sigma_m) if s >= least_m else s, way) for x, y, s, way in self._rows]
 
     def are_worth_it(self, places: Array, lengths_m: Array) -> NDArray[np.bool_]:
         """(K,) whether a return to `places` (K, 4) by ways of some lengths (K,) makes the position much more certain.

@@ -1,6 +1,7 @@
 """When a loop closure is due."""
 
 import numpy as np
+import pytest
 
 from sixthsense.config import ExploreConfig
 from sixthsense.core.geometry import Pose
@@ -44,6 +45,19 @@ def test_a_place_that_is_always_as_uncertain_is_left_for_one_loop_closure_only()
             assert not made.needs_loop_closure
     made.add(Pose(), np.diag([0.25**2, 0.0, 0.0]), True)
     assert made.needs_loop_closure
+
+
+@pytest.mark.parametrize(("sigma_m", "known"), [(0.2, [0.02]), (0.03, [])])
+def test_a_return_that_does_not_help_is_made_again_only_to_places_known_much_better(
+    sigma_m: float, known: list[float]
+) -> None:
+    made = history(0.02, 0.05, 0.09, 0.2)
+    made.go_back(made.well_known_places()[2])
+    made.add(Pose(2.0, 0.1, 0.3), np.diag([sigma_m**2, 0.0, 0.0]), True)
+    made.came_back()
+    assert made.well_known_places()[:, 2].tolist() == known
+    made.add(Pose(7.0, 0.0, 0.0), np.diag([0.2**2, 0.0, 0.0]), True)
+    assert made.well_known_places()[:, 2].tolist() == (known or [0.02, 0.05, 0.09, sigma_m])
 
 
 def test_a_robot_that_may_soon_be_lost_goes_back_every_time() -> None:
