@@ -126,6 +126,8 @@ class Associator:
             x, y = (estimate.pose.position - estimate.landmarks[rows[i]]).tolist()
             if self.records[i].corner.counts(math.atan2(y, x)):
                 is_same = self._unknown.add_new_side(log_density)
+                if is_same == 0.0:
+                    continue
                 added = 2.0 * self._of_sides.square_m2
                 squared, information = matches.innovations.without(observation, places[i], added, np.eye(2))
                 self._of_sides.add(squared, information, is_same)

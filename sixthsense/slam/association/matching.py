@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numba
@@ -175,7 +176,7 @@ class NewSide(NamedTuple):
 
     observation: int
     log_density: float
-    """logarithm of the density of its innovation, 1/m^2"""
+    """logarithm of the density of its innovation, 1/m^2; minus infinity of one that is too far to be this point"""
 
 
 class Matches(NamedTuple):
@@ -225,7 +226,8 @@ def match(
     sigmas = observed.sigmas_m(estimate.pose_cov)
     distances = Distances.at(estimate.pose, observed, estimate, extents)
     plausible = distances.plausible(sigmas, known_sigmas, math.sqrt(estimate.pose_cov[2, 2]), cfg)
-    near = np.flatnonzero(plausible.any(axis=0))
+    is_near = np.asarray(plausible.any(axis=0))
+    near = np.flatnonzero(is_near)
     joint = np.ascontiguousarray(belief.joint_covariance(estimate.ids[near].tolist()))
     if not len(near):
         return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0, {})
@@ -240,25 +242,47 @@ def match(
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
     least = usual.unknown.least(innovations.walls, is_new_side, cfg.match_odds)
     found = likely_matches(innovations.pairs, found, least)
-    new_sides = _new_sides(innovations, is_new_side, distances.metres[:, near], found, cfg)
+    beside = _new_sides(innovations, is_new_side, distances.metres[:, near], found, cfg)
+    new_sides = {int(near[j]): seen for j, seen in beside.items()}
     is_matched = found >= 0
     is_far = ~is_matched & (squared_given(innovations.pairs, plausible, found).min(axis=1) > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
-    is_beside = ~Distances.at(here, observed, estimate, extents).apart(cfg)
-    is_apart = ~is_beside.any(axis=1)
-    # A wall may be beside a known one, and a point beside one that was not seen from this side, if most of the scan
-    # matches; else these show that the pose is wrong.
-    is_beside[observed.walls] = False
-    for i, k in zip(*np.nonzero(is_beside), strict=True):
-        is_beside[i, k] = not _is_new_side(own[k], estimate.landmarks[k], here)
-    may_be_beside = is_far & ~is_apart & ~is_beside.any(axis=1)
-    contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
-    if np.count_nonzero(is_matched) > contradicting:
-        is_apart |= may_be_beside
+    is_new, others = _new_ones(observed, replace(estimate, pose=here), extents, own, is_matched, is_far, is_near, cfg)
+    new_sides = {int(estimate.ids[k]): seen for k, seen in (others | new_sides).items()}
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
     worth = innovations.worth(found, cfg.match_gate)
-    beside = {int(estimate.ids[near[j]]): seen for j, seen in new_sides.items()}
-    return Matches(landmark, is_far & is_apart, estimate.ids[near], innovations, here, worth, beside)
+    return Matches(landmark, is_new, estimate.ids[near], innovations, here, worth, new_sides)
+
+
+def _new_ones(
+    observed: Observed,
+    estimate: Estimate,
+    extents: Array,
+    own: Sequence[Record],
+    is_matched: Mask,
+    is_far: Mask,
+    is_near: Mask,
+    cfg: AssociationConfig,
+) -> tuple[Mask, dict[int, NewSide]]:
+    """(m,) which observations are of new landmarks, and others of these than points (n,) that are seen from a new side.
+
+    The estimate has the pose that the matches imply. `is_matched` and `is_far` (m,) mark observations, those outside of
+    the gate of all landmarks; `is_near` (n,) marks the landmarks that were compared. The records are `own`.
+    """
+    is_beside = ~Distances.at(estimate.pose, observed, estimate, extents).apart(cfg)
+    is_apart = ~is_beside.any(axis=1)
+    contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
+    if np.count_nonzero(is_matched) <= contradicting:
+        return is_far & is_apart, {}
+    # Most of the scan matches: then a wall may be beside a known one, and a point beside one that was not seen from
+    # this side; else these show that the pose is wrong.
+    is_beside[observed.walls] = False
+    pairs = np.argwhere(is_beside).tolist()
+    from_new_side = [(i, k) for i, k in pairs if _is_new_side(own[k], estimate.landmarks[k], estimate.pose)]
+    for i, k in from_new_side:
+        is_beside[i, k] = False
+    is_new = is_far & ~is_beside.any(axis=1)
+    return is_new, {k: NewSide(i, -math.inf) for i, k in from_new_side if is_new[i] and not is_near[k]}
 
 
 def _is_new_side(record: Record, place: Array, pose: Pose) -> bool:

@@ -98,7 +98,10 @@ def half_of(pose, first, last, off, rng):
 
 
 def corridor(seed, size_m):
-    """The associator after a drive past 80 walls, of each of which one half is seen and then the other."""
+    """The associator after a drive past 80 walls, of each of which one half is seen and then the other.
+
+    And the last observation, without and with what the associator says of it.
+    """
     rng = np.random.default_rng(seed)
     pose = Pose(0.7, -1.4, 0.3)
     estimator = make_estimator("ekf-invariant", pose, np.zeros((3, 3)))
@@ -108,18 +111,48 @@ def corridor(seed, size_m):
             first = 2.1 * k + 0.8 * half
             off = size_m * rng.standard_normal(2) * (1.0, math.sqrt(12.0) / 0.8)  # as `unit_cov` has it
             for _ in range(3):
-                seen = [half_of(pose, first, first + 0.8, off, rng)]
-                estimator.update(associator.associate(seen, estimator).observations)
+                seen = half_of(pose, first, first + 0.8, off, rng)
+                told = associator.associate([seen], estimator).observations
+                estimator.update(told)
         before, pose = pose, Pose(pose.x + 2.1, pose.y, pose.theta)
         estimator.predict(Odometry(before.inverse() @ pose, np.diag([1e-12, 1e-12, 1e-14])))
-    return associator, seen[0]
+    return associator, seen, next(iter(told.values()))
 
 
 @pytest.mark.parametrize("size_m", [0.0, 0.005])
 def test_walls_that_bend_between_two_stretches_make_new_stretches_less_certain(size_m):
     found = [corridor(seed, size_m) for seed in range(3)]
-    sizes_m = [math.sqrt(associator._of_stretches.square_m2) for associator, _ in found]
+    sizes_m = [math.sqrt(associator._of_stretches.square_m2) for associator, _, _ in found]
     if size_m == 0.0:
         assert sizes_m == [0.0, 0.0, 0.0]
         return
     assert all(0.6 * size_m < size < 1.05 * size_m for size in sizes_m)
+    for (_, seen, told), size in zip(found, sizes_m, strict=True):
+        np.testing.assert_allclose(told.cov, seen.cov + size**2 * unit_cov(*seen.extent, True), rtol=1e-9)
+        np.testing.assert_allclose(told.bend.cov, told.cov - seen.cov, rtol=1e-9)
+
+
+def posts(seed, size_m):
+    """The associator after 120 points were seen from two sides, each of which shows them elsewhere."""
+    rng = np.random.default_rng(seed)
+    noise = np.diag([0.003, 0.0045]) ** 2
+    here, there = Pose(0.4, -2.3, 0.7), Pose(-0.6, 3.1, -1.9)
+    estimator = make_estimator("ekf-invariant", here, np.zeros((3, 3)))
+    associator = Associator(AssociationConfig(cull_below=0))
+    moved = Odometry(here.inverse() @ there, np.diag([1e-12, 1e-12, 1e-14]))
+    back = Odometry(there.inverse() @ here, np.diag([1e-12, 1e-12, 1e-14]))
+    for k in range(120):
+        point = np.array([0.5 * (k % 12) - 3.0, 0.5 * (k // 12) - 2.2])
+        for pose, motion in ((here, moved), (there, back)):
+            place = point + size_m * rng.standard_normal(2)
+            z = pose.inverse() @ place + rng.multivariate_normal(np.zeros(2), noise)
+            estimator.update(associator.associate([Observation(Kind.END, z, noise)], estimator).observations)
+            estimator.predict(motion)
+    return associator
+
+
+@pytest.mark.parametrize("size_m", [0.0, 0.006])
+def test_points_that_look_elsewhere_from_each_side_are_told_by_how_much(size_m):
+    """What is far off is taken for another point, and what chance may exceed is left out: a quarter is missed."""
+    sizes_m = [math.sqrt(posts(seed, size_m)._of_sides.square_m2) for seed in range(4)]
+    assert np.mean(sizes_m) == pytest.approx(0.76 * size_m, rel=0.05, abs=1e-12)

@@ -12,6 +12,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.association.corners import Corner, Scatter
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.testing.sight import predict_points
 
@@ -83,6 +84,44 @@ def test_a_known_end_is_matched_from_beyond_by_how_many_were_the_same(name):
         largest = 1.0 / (2.0 * math.pi * density)  # of the root of the determinant of the innovation's covariance
         assert beyond(name, math.sqrt(0.9 * largest - own), end, told)[0].dof == 2
         assert beyond(name, math.sqrt(1.1 * largest - own), end, told)[0].dof == 0
+
+
+def test_a_side_counts_once_and_one_that_comes_gradually_is_not_new():
+    corner, scatter = Corner(), Scatter()
+
+    def look(side_rad):
+        pose = Pose(2.0 * math.cos(side_rad), 2.0 * math.sin(side_rad), 0.4)
+        corner.seen(sight(pose, np.zeros((1, 2)))[0], pose, scatter, 0.0)
+
+    assert not corner.is_new_side(2.0)  # nobody has seen it
+    look(1.0)
+    assert not corner.is_new_side(1.12) and corner.is_new_side(1.2)
+    look(1.12)  # like the first side, and not kept as one of its own
+    assert not corner.is_new_side(1.2) and corner.is_new_side(0.8)
+    look(1.2)
+    look(1.36)
+    assert corner.is_new_side(1.6) and not corner.is_new_side(1.04)
+    assert corner.counts(1.6) and not corner.counts(1.7) and corner.counts(-1.6)
+    assert corner.is_new_side(1.6)  # counted is not seen
+
+
+def test_what_is_matched_with_a_point_says_nothing_of_another_one_beside_it():
+    """The far corner is known from its side, then the near one from the other: only that is counted."""
+    near, far = np.array([[0.3, 0.1]]), np.array([[0.41, 0.12]])
+    others = np.array([[-0.8, 1.9], [-0.5, -1.6], [0.9, 1.2]])
+    behind = Pose(3.9, 0.8, -2.6)
+    estimator, associator = make_estimator("ekf", START, np.zeros((3, 3))), Associator(AssociationConfig())
+    exact = np.diag([1e-10, 1e-10, 1e-12])
+    place = START
+    for pose, seen in ((behind, far), (START, near), (behind, far), (START, near)):
+        estimator.predict(Odometry(place.inverse() @ pose, exact))
+        place = pose
+        shown = np.concatenate([others, seen]) if pose is START else seen
+        for _ in range(2):
+            estimator.update(associator.associate(sight(pose, shown), estimator).observations)
+    # The other three are seen from the start alone.
+    assert len(associator.records) == 5
+    assert associator._unknown._from_new_side == pytest.approx(1.0)
 
 
 def drive(name, seed, thick_m):
