@@ -259,9 +259,8 @@ class Associator:
     def _merged(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
         """Walls that duplicate an older wall.
 
-        Two walls are one when they lie in line, without a gap, their difference passes the gate of a match, and it is
-        certain enough to tell another wall beside. Else what is seen of the younger one would be matched with the older
-        one. The younger wall's information about the poses stays in the estimate; that both are one is not added to it.
+        Two walls are one when they lie in line, without a gap, and their difference passes the gate of a match. The
+        younger wall's information about the poses stays in the estimate; that both are one is not added to it.
         """
         kept = estimate.walls & np.isin(estimate.ids, list(self.records))  # some may just have been culled
         ids, walls = estimate.ids[kept].tolist(), estimate.landmarks[kept]
@@ -274,9 +273,7 @@ class Associator:
                 continue
             joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]
             cov = joint[:2, :2] + joint[2:, 2:] - joint[:2, 2:] - joint[2:, :2]
-            if disagreement(walls[j], walls[k], cov) > self._config.match_gate or not self._is_told(
-                walls[j], extents[j], cov
-            ):
+            if disagreement(walls[j], walls[k], cov) > self._config.match_gate:
                 continue
             young, old = sorted((j, k), key=lambda n: (records[n].observations, -ids[n]))
             records[old].extent = joined(walls[old], records[old].extent, records[young].extent)
@@ -285,12 +282,6 @@ class Associator:
             gone.append(ids[young])
         self.walls_merged += len(gone)
         return gone
-
-    def _is_told(self, wall: Array, extent: Array, cov: Array) -> bool:
-        """Whether a difference from a wall (2,), of `cov` (2, 2), would tell another one beside its middle (2, 2)."""
-        x, y = extent.mean(axis=0).tolist()
-        across = np.array([math.sin(wall[0]) * x - math.cos(wall[0]) * y, 1.0])
-        return bool(self._config.new_gate * (across @ cov @ across) <= self._config.new_separation_m**2)
 
     def _extents(self, estimate: Estimate) -> Array:
         """(n, 2, 2) ends of the landmarks that are walls, world frame."""

@@ -167,18 +167,6 @@ def test_another_piece_of_a_known_wall_is_fused_unless_it_is_offset():
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
 
 
-@pytest.mark.parametrize("sigma_m", [0.054, 0.060])
-def test_walls_are_one_only_where_their_difference_would_tell_another_one(sigma_m):
-    """The gate of another wall, sqrt(27.631) sigmas, reaches 0.3 m at 0.057 m; at the middle of what was seen."""
-    associator = Associator(AssociationConfig())
-    wall, turn = np.array([0.7, 1.9]), 0.05**2
-    normal, along = np.array([math.cos(0.7), math.sin(0.7)]), np.array([-math.sin(0.7), math.cos(0.7)])
-    extent = np.array([wall[1] * normal + place * along for place in (1.1, 3.7)])
-    # An offset at the middle and a tilt about it, as an angle and a distance from the origin.
-    cov = turn * np.array([[1.0, 2.4], [2.4, 2.4**2]]) + np.diag([0.0, sigma_m**2])
-    assert associator._is_told(wall, extent, cov) == (sigma_m < 0.057)
-
-
 def test_duplicate_walls_are_merged(monkeypatch):
     monkeypatch.setattr(associator_module, "CULL_PERIOD", 2)
     config = AssociationConfig(cull_below=1)
