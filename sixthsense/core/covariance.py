@@ -34,6 +34,12 @@ def mean_square_limit(count: float, sigmas: float = SIGNIFICANT) -> float:
     return float(max(0.0, 1.0 - var + sigmas * math.sqrt(var)) ** 3)
 
 
+def difference_covariance(joint: Array, first: int, second: int) -> Array:
+    """(2, 2) covariance of the difference of two landmarks, of the joint one (2n, 2n) of n."""
+    a, b = slice(2 * first, 2 * first + 2), slice(2 * second, 2 * second + 2)
+    return np.asarray(joint[a, a] + joint[b, b] - joint[a, b] - joint[b, a])
+
+
 COVARIANCE_SLACK = 1e-9
 """Tolerance of symmetry and of positive eigenvalues, relative to the largest entry."""
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.covariance import SIGNIFICANT
+from sixthsense.core.covariance import SIGNIFICANT, difference_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.corners import Scatter
@@ -119,7 +119,7 @@ class Associator:
 
     def _count_new_sides(self, matches: Matches, estimate: Estimate) -> None:
         """Learn from what is seen from new sides how many are other points, and how far the same ones are off."""
-        places = {i: j for j, i in enumerate(matches.near.tolist())}
+        places = matches.places
         rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
         for i, (observation, log_density) in matches.new_sides.items():
             assert matches.innovations is not None
@@ -134,7 +134,7 @@ class Associator:
 
     def _count_new_stretches(self, observations: Sequence[Observation], matches: Matches, pose: Pose) -> None:
         """Learn from walls that are seen elsewhere than before how far they are off there."""
-        places = {i: j for j, i in enumerate(matches.near.tolist())}
+        places = matches.places
         added = self._of_stretches.square_m2
         for k, (observation, i) in enumerate(zip(observations, matches.landmark.tolist(), strict=True)):
             if i >= 0 and observation.is_wall and self.records[i].is_new_stretch(pose, observation):
@@ -272,8 +272,7 @@ class Associator:
             if ids[j] in gone or ids[k] in gone:
                 continue
             joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]
-            cov = joint[:2, :2] + joint[2:, 2:] - joint[:2, 2:] - joint[2:, :2]
-            if disagreement(walls[j], walls[k], cov) > self._config.match_gate:
+            if disagreement(walls[j], walls[k], difference_covariance(joint, 0, 1)) > self._config.match_gate:
                 continue
             young, old = sorted((j, k), key=lambda n: (records[n].observations, -ids[n]))
             records[old].extent = joined(walls[old], records[old].extent, records[young].extent)

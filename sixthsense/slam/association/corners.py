@@ -151,11 +151,11 @@ class Corner:
 
     def _side_of(self, side_rad: float) -> int:
         """Number of the side that is most like this one; a new one, if none has most of its error."""
-        if not _has_alike(self._sides, side_rad):
-            self._sides.append(side_rad)
-            return len(self._sides) - 1
         alike = [kept_between(side, side_rad) for side in self._sides]
-        return alike.index(max(alike))
+        if alike and max(alike) > 0.5:
+            return alike.index(max(alike))
+        self._sides.append(side_rad)
+        return len(self._sides) - 1
 
 
 def _has_alike(sides: list[float], side_rad: float) -> bool:

@@ -197,12 +197,17 @@ class Matches(NamedTuple):
     new_sides: Mapping[LandmarkId, NewSide]
     """what is seen beside points that were not seen from this side before"""
 
+    @property
+    def places(self) -> dict[LandmarkId, int]:
+        """The places of the landmarks that were compared among these."""
+        return {i: j for j, i in enumerate(self.near.tolist())}
+
     def nis(self, known: Mapping[LandmarkId, Observation]) -> float:
         """Normalised innovation squared of the matched observations together."""
         if self.innovations is None or not known:
             return 0.0
-        place = {i: j for j, i in enumerate(self.near.tolist())}
-        return self.innovations.nis(list(known.values()), np.array([place[i] for i in known]))
+        places = self.places
+        return self.innovations.nis(list(known.values()), np.array([places[i] for i in known]))
 
 
 def match(

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sixthsense.core.covariance import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile, difference_covariance
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
@@ -110,7 +110,7 @@ class Contradictions:
         for first, second in itertools.combinations(range(len(ids)), 2):
             pair = ids[first], ids[second]
             true = estimate.landmarks[[rows[i] for i in pair]]
-            slip, squared = self._by_pair(estimate, pair, true, _relative(joint, first, second))
+            slip, squared = self._by_pair(estimate, pair, true, difference_covariance(joint, first, second))
             if squared < least:
                 best, least = (slip, pair), squared
         return best
@@ -148,9 +148,3 @@ class Contradictions:
         grown = np.maximum(np.diag(estimate.pose_cov - last.pose_cov), 0.0)
         lever = float(np.sum((last.point - estimate.pose.position) ** 2))
         return np.asarray(last.cov + (0.5 * float(grown[0] + grown[1]) + grown[2] * lever) * np.eye(2))
-
-
-def _relative(joint: Array, first: int, second: int) -> Array:
-    """(2, 2) covariance of the difference of two points, of the joint one (2n, 2n) of n."""
-    a, b = slice(2 * first, 2 * first + 2), slice(2 * second, 2 * second + 2)
-    return np.asarray(joint[a, a] + joint[b, b] - joint[a, b] - joint[b, a])

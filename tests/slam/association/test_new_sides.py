@@ -107,7 +107,7 @@ def test_a_side_counts_once_and_one_that_comes_gradually_is_not_new():
 
 def test_what_is_matched_with_a_point_says_nothing_of_another_one_beside_it():
     """The far corner is known from its side, then the near one from the other: only that is counted."""
-    near, far = np.array([[0.3, 0.1]]), np.array([[0.41, 0.12]])
+    near, far = np.array([[0.3, 0.1]]), np.array([[0.35, 0.13]])
     others = np.array([[-0.8, 1.9], [-0.5, -1.6], [0.9, 1.2]])
     behind = Pose(3.9, 0.8, -2.6)
     estimator, associator = make_estimator("ekf", START, np.zeros((3, 3))), Associator(AssociationConfig())
