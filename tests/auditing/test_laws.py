@@ -58,7 +58,8 @@ def drawn(seed, n, noise=0.1):
     estimate = np.array([motion(exp(rng.normal(0.0, noise, turns)) @ t[:n, :n], t[:n, n] + rng.normal(0.0, noise, n))
                          for t in truth])  # fmt: skip
     root = 0.2 * (np.eye(dof) + rng.uniform(-0.5, 0.5, (N, dof, dof)))
-    return Drawn(np.cumsum(rng.uniform(0.2, 0.4, N)) + 3.0, truth, estimate, root @ root.transpose(0, 2, 1))
+    covs = root @ root.transpose(0, 2, 1) + 0.05**2 * np.eye(dof)  # a product alone may be singular, and is left out
+    return Drawn(np.cumsum(rng.uniform(0.2, 0.4, N)) + 3.0, truth, estimate, covs)
 
 
 def axes(turn):
