@@ -72,19 +72,24 @@ def near_points(shape: tuple[int, int], points: Array, distance: float) -> Bools
     Places are the middles of the parts that a cell's sides are divided into: three, less than the noise of a range.
     """
     height, width = shape
-    parts = np.zeros((3 * height, 3 * width), dtype=np.bool_)
+    begun = np.zeros((3 * height, 3 * width + 1), dtype=np.int32)  # discs, less those that end
     fine = 3.0 * distance
     for k in range(len(points)):
         row, col = 3.0 * points[k, 0] - 0.5, 3.0 * points[k, 1] - 0.5
         for r in range(max(math.ceil(row - fine), 0), min(math.floor(row + fine) + 1, 3 * height)):
             half = math.sqrt(max(fine * fine - (r - row) ** 2, 0.0))
             first, past = max(math.ceil(col - half), 0), min(math.floor(col + half) + 1, 3 * width)
-            for c in range(first, past):
-                parts[r, c] = True
+            if first < past:
+                begun[r, first] += 1
+                begun[r, past] -= 1
     near = np.ones((height, width), dtype=np.bool_)
     for r in range(3 * height):
+        covering = 0
         for c in range(width):
-            near[r // 3, c] &= parts[r, 3 * c] & parts[r, 3 * c + 1] & parts[r, 3 * c + 2]
+            first = covering + begun[r, 3 * c]
+            second = first + begun[r, 3 * c + 1]
+            covering = second + begun[r, 3 * c + 2]
+            near[r // 3, c] &= (first > 0) & (second > 0) & (covering > 0)
     return near
 
 
