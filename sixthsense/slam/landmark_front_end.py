@@ -23,6 +23,7 @@ from sixthsense.core.source import Closure
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
+from sixthsense.slam.association.seen_through import Returns
 from sixthsense.slam.estimators import Estimate, Estimator, Smoother
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
@@ -128,10 +129,12 @@ class LandmarkFrontEnd:
     def _associated(self, features: Features, evidence: Evidence) -> Association:
         if evidence.scan is None:
             return self._associator.match_named(evidence.observations, self._estimator)
-        if self._guide is None:
-            return self._associator.associate(features.observations, self._estimator)
-        self._proposed.place(self._guide.proposal(), self._estimator.estimate())
-        return self._associator.associate(features.observations, self._estimator, self._proposed)
+        points, proposed = evidence.scan.points_robot, None
+        returns = Returns(evidence.scan.T_robot_laser.position, points[np.isfinite(points).all(axis=1)])
+        if self._guide is not None:
+            self._proposed.place(self._guide.proposal(), self._estimator.estimate())
+            proposed = self._proposed
+        return self._associator.associate(features.observations, self._estimator, proposed, returns)
 
     def _updated(self, association: Association, closures: Sequence[Closure] | None) -> Estimate:
         self._estimator.update(association.observations)

@@ -31,6 +31,7 @@ from sixthsense.slam.association.observed import (
 )
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Crookedness, Footprint, Record, less_certain, unit_cov
+from sixthsense.slam.association.seen_through import Returns
 from sixthsense.slam.association.slip import matches_after_slip
 from sixthsense.slam.association.unknown import UnknownPoints
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
@@ -77,11 +78,16 @@ class Associator:
         self._contradictions = Contradictions(config.known_probability)
 
     def associate(
-        self, observations: Sequence[Observation], estimator: Belief, proposed: ProposedLandmarks | None = None
+        self,
+        observations: Sequence[Observation],
+        estimator: Belief,
+        proposed: ProposedLandmarks | None = None,
+        returns: Returns | None = None,
     ) -> Association:
         """Match observations with landmarks, all at once; what is far from all landmarks is a new one.
 
-        The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator.
+        The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator. With the
+        `returns` of the scan, what lies behind known walls contradicts matches.
         """
         self._scan += 1
         estimate = estimator.estimate()
@@ -97,7 +103,7 @@ class Associator:
         extents = self._extents(estimate) if proposed is None else proposed.extents
 
         def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents, self.records, usual, self._config)
+            return match(observed, belief, estimate, extents, self.records, usual, self._config, returns)
 
         slip = None
         if proposed is None:

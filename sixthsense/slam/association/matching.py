@@ -15,9 +15,17 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovation, innovations_of, predictions
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.se2 import Triple
-from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, likely_matches, squared_given
+from sixthsense.slam.association.joint_assignment import (
+    Indices,
+    Pairs,
+    best_matches,
+    least_likely,
+    likely_matches,
+    squared_given,
+)
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record, unit_cov
+from sixthsense.slam.association.seen_through import Returns, lengths_seen_through, offset_variances
 from sixthsense.slam.association.unknown import UnknownDensity
 from sixthsense.slam.estimators.base import Belief, Estimate
 
@@ -68,6 +76,24 @@ class Innovations(NamedTuple):
         values, S, places = self._together(matched)
         x, y, theta = (np.linalg.solve(S, values) @ self.with_pose[places]).tolist()
         return Pose(pose.x + x, pose.y + y, pose.theta + theta)
+
+    @property
+    def own(self) -> Array:
+        """(k, 2, 2) covariance of each predicted observation."""
+        k = np.arange(len(self.predicted))
+        return self.pairs.predicted.reshape(len(k), 2, len(k), 2)[k, :, k]
+
+    def given(self, matched: Indices) -> tuple[Array, Array, Array]:
+        """Predictions (k, 2) updated with matches (m,), -1: none, their covariances (k, 2, 2), and the pose's (3, 3).
+
+        The latter is how much less it is than without the matches.
+        """
+        values, S, places = self._together(matched)
+        with_matched = self.pairs.predicted[:, places].reshape(len(self.predicted), 2, len(places))
+        predicted = self.predicted + with_matched @ np.linalg.solve(S, values)
+        covs = self.own - with_matched @ np.linalg.solve(S, with_matched.transpose(0, 2, 1))
+        with_pose = self.with_pose[places]
+        return predicted, covs, with_pose.T @ np.linalg.solve(S, with_pose)
 
     def worth(self, matched: Indices, gate: float) -> float:
         """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
@@ -218,12 +244,13 @@ def match(
     records: Mapping[LandmarkId, Record],
     usual: Usual,
     cfg: AssociationConfig,
+    returns: Returns | None = None,
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
     `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
     its walls, and `usual` says what landmarks are like. The `records` of those that were compared are told how certain
-    these are.
+    these are. With the `returns` of the scan, no match stays by which it would see through walls.
     """
     m = len(observed.z)
     own = [records[i] for i in estimate.ids.tolist()]
@@ -247,6 +274,8 @@ def match(
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
     least = usual.unknown.least(innovations.walls, is_new_side, cfg.match_odds)
     found = likely_matches(innovations.pairs, found, least)
+    if returns is not None:
+        found = _not_through_walls(innovations, found, returns, estimate, extents[near], squares, cfg)
     beside = _new_sides(innovations, is_new_side, distances.metres[:, near], found, cfg)
     new_sides = {int(near[j]): seen for j, seen in beside.items()}
     is_matched = found >= 0
@@ -257,6 +286,38 @@ def match(
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
     worth = innovations.worth(found, cfg.match_gate)
     return Matches(landmark, is_new, estimate.ids[near], innovations, here, worth, new_sides)
+
+
+def _not_through_walls(
+    innovations: Innovations,
+    found: Indices,
+    returns: Returns,
+    estimate: Estimate,
+    extents: Array,
+    squares_m2: Array,
+    cfg: AssociationConfig,
+) -> Indices:
+    """(m,) the matches without those by which the robot would see through a long piece of walls (k,).
+
+    The match that is least likely given the others is the first to go. Only walls are asked whose gate, before the
+    matches, is wider than landmarks are apart: the others could not be mistaken. `squares_m2` (k,) are those of
+    `compare`.
+    """
+    ends = estimate.pose.inverse() @ extents
+    gates = cfg.match_gate * offset_variances(innovations.predicted, innovations.own, ends.mean(axis=1))
+    is_doubtful = innovations.walls & (gates > cfg.new_separation_m**2)
+    kept = found.copy()
+    while is_doubtful.any() and (kept >= 0).any():
+        lines, covs, fall = innovations.given(kept)
+        covs[:, 1, 1] += squares_m2
+        ends = innovations.pose_given(estimate.pose, kept).inverse() @ extents
+        left = estimate.pose_cov - fall
+        along_m = math.sqrt(max(left[0, 0] + left[1, 1], 0.0))
+        lengths = lengths_seen_through(returns, lines, covs, ends, along_m, cfg.match_gate)
+        if not (is_doubtful & (lengths > cfg.new_separation_m)).any():
+            break
+        kept[least_likely(innovations.pairs, kept)] = -1
+    return kept
 
 
 def _new_ones(
