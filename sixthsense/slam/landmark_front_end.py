@@ -129,12 +129,12 @@ class LandmarkFrontEnd:
     def _associated(self, features: Features, evidence: Evidence) -> Association:
         if evidence.scan is None:
             return self._associator.match_named(evidence.observations, self._estimator)
-        points, proposed = evidence.scan.points_robot, None
-        returns = Returns(evidence.scan.T_robot_laser.position, points[np.isfinite(points).all(axis=1)])
-        if self._guide is not None:
+        if self._guide is not None:  # which has compared the whole scan
             self._proposed.place(self._guide.proposal(), self._estimator.estimate())
-            proposed = self._proposed
-        return self._associator.associate(features.observations, self._estimator, proposed, returns)
+            return self._associator.associate(features.observations, self._estimator, self._proposed)
+        points = evidence.scan.points_robot
+        returns = Returns(evidence.scan.T_robot_laser.position, points[np.isfinite(points).all(axis=1)])
+        return self._associator.associate(features.observations, self._estimator, returns=returns)
 
     def _updated(self, association: Association, closures: Sequence[Closure] | None) -> Estimate:
         self._estimator.update(association.observations)

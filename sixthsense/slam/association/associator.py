@@ -87,7 +87,7 @@ class Associator:
         """Match observations with landmarks, all at once; what is far from all landmarks is a new one.
 
         The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator. With the
-        `returns` of the scan, what lies behind known walls contradicts matches.
+        `returns` of the scan, what lies behind a known wall contradicts its match.
         """
         self._scan += 1
         estimate = estimator.estimate()

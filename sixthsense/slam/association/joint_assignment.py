@@ -145,18 +145,6 @@ def likely_matches(pairs: Pairs, matched: Indices, least: Array) -> Indices:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def least_likely(pairs: Pairs, matched: Indices) -> int:
-    """The observation whose match is the least likely, given the other matches of (m,)."""
-    least, worst = np.inf, -1
-    for i in range(len(matched)):
-        if matched[i] >= 0:
-            log_density = _log_density(pairs, matched, i)
-            if log_density < least:
-                least, worst = log_density, i
-    return worst
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _log_density(pairs: Pairs, matched: Indices, i: int) -> float:
     """Logarithm of the density of the innovation of match `i`, per unit of both its components, given the others."""
     most = len(matched)

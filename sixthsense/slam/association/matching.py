@@ -19,13 +19,12 @@ from sixthsense.slam.association.joint_assignment import (
     Indices,
     Pairs,
     best_matches,
-    least_likely,
     likely_matches,
     squared_given,
 )
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record, unit_cov
-from sixthsense.slam.association.seen_through import Returns, lengths_seen_through, offset_variances
+from sixthsense.slam.association.seen_through import Returns, lengths_seen, offset_variances
 from sixthsense.slam.association.unknown import UnknownDensity
 from sixthsense.slam.estimators.base import Belief, Estimate
 
@@ -250,7 +249,7 @@ def match(
 
     `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
     its walls, and `usual` says what landmarks are like. The `records` of those that were compared are told how certain
-    these are. With the `returns` of the scan, no match stays by which it would see through walls.
+    these are. With the `returns` of the scan, no wall is matched that it would see through.
     """
     m = len(observed.z)
     own = [records[i] for i in estimate.ids.tolist()]
@@ -297,26 +296,27 @@ def _not_through_walls(
     squares_m2: Array,
     cfg: AssociationConfig,
 ) -> Indices:
-    """(m,) the matches without those by which the robot would see through a long piece of walls (k,).
+    """(m,) the matches without those of walls that the robot would see through, rather than see.
 
-    The match that is least likely given the others is the first to go. Only walls are asked whose gate, before the
-    matches, is wider than landmarks are apart: the others could not be mistaken. `squares_m2` (k,) are those of
-    `compare`.
+    Only walls (k,) are asked whose gate, before the matches, is wider than landmarks are apart: the others could not be
+    mistaken. `squares_m2` (k,) are those of `compare`.
     """
     ends = estimate.pose.inverse() @ extents
     gates = cfg.match_gate * offset_variances(innovations.predicted, innovations.own, ends.mean(axis=1))
     is_doubtful = innovations.walls & (gates > cfg.new_separation_m**2)
     kept = found.copy()
-    while is_doubtful.any() and (kept >= 0).any():
+    while is_doubtful[kept[kept >= 0]].any():
         lines, covs, fall = innovations.given(kept)
         covs[:, 1, 1] += squares_m2
         ends = innovations.pose_given(estimate.pose, kept).inverse() @ extents
         left = estimate.pose_cov - fall
         along_m = math.sqrt(max(left[0, 0] + left[1, 1], 0.0))
-        lengths = lengths_seen_through(returns, lines, covs, ends, along_m, cfg.match_gate)
-        if not (is_doubtful & (lengths > cfg.new_separation_m)).any():
+        through_m, seen_m = lengths_seen(returns, lines, covs, ends, along_m, cfg.match_gate).transpose(1, 0, 2)
+        is_open = is_doubtful & (through_m > np.maximum(seen_m, cfg.new_separation_m)).all(axis=1)
+        is_wrong = (kept >= 0) & is_open[kept]
+        if not is_wrong.any():
             break
-        kept[least_likely(innovations.pairs, kept)] = -1
+        kept[is_wrong] = -1
     return kept
 
 

@@ -11,10 +11,9 @@ from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.loop.run import run
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.joint_assignment import least_likely
 from sixthsense.slam.association.matching import Usual, compare, match
 from sixthsense.slam.association.observed import Observed
-from sixthsense.slam.association.seen_through import Returns, lengths_seen_through, offset_variances
+from sixthsense.slam.association.seen_through import Returns, lengths_seen, offset_variances
 from sixthsense.slam.association.unknown import UnknownDensity
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.testing.sight import predict_points, predict_walls
@@ -29,38 +28,58 @@ LASER = np.array([0.4, 0.1])
 
 
 def seen_through(points, first, last, cov=NO_COV, along_m=0.0, gate=13.8):
+    """(2, 3): through it and of it, with its ends 2 sigmas to either side and where they are."""
     extents = np.array([[[first, 2.1], [last, 2.1]]])
-    return float(lengths_seen_through(Returns(LASER, points), AHEAD, cov, extents, along_m, gate)[0])
+    return lengths_seen(Returns(LASER, points), AHEAD, cov, extents, along_m, gate)[0]
+
+
+def through(*args, **options):
+    found = seen_through(*args, **options)
+    assert found[0, 0] == found[0, 1] == found[0, 2]
+    return float(found[0, 1])
 
 
 def test_the_length_is_that_of_the_known_wall_between_the_crossings_of_neighbouring_beams():
-    assert seen_through(BEHIND, -3.0, 3.0) == pytest.approx(1.5)
-    assert seen_through(BEHIND[::-1], 3.0, -3.0) == pytest.approx(1.5)
-    assert seen_through(BEHIND, -3.0, 0.5) == pytest.approx(1.1)
+    assert through(BEHIND, -3.0, 3.0) == pytest.approx(1.5)
+    assert through(BEHIND[::-1], 3.0, -3.0) == pytest.approx(1.5)
+    assert through(BEHIND, -3.0, 0.5) == pytest.approx(1.1)
     before = BEHIND.copy()
-    before[1, 1] = 2.0  # an obstacle hides the wall: nothing is known between its neighbours
-    assert seen_through(before, -3.0, 3.0) == pytest.approx(0.5)
-    assert seen_through(BEHIND[:1], -3.0, 3.0) == 0.0
+    before[1, 1] = 1.9  # an obstacle hides the wall: nothing is known between its neighbours
+    assert through(before, -3.0, 3.0) == pytest.approx(0.5)
+    assert through(BEHIND[:1], -3.0, 3.0) == 0.0
+    assert not seen_through(BEHIND - [0.0, 3.0], -3.0, 3.0).any()
 
 
-def test_what_is_seen_through_is_so_wherever_the_ends_of_the_wall_may_be():
-    # Two sigmas of 0.1 m: the wall ends at 0.3 to 0.7, or begins at -0.7 to -0.3.
-    assert seen_through(BEHIND, -3.0, 0.5, along_m=0.1) == pytest.approx(0.9)
-    assert seen_through(BEHIND, -0.5, 3.0, along_m=0.1) == pytest.approx(1.2)
-    assert seen_through(BEHIND, 0.1, 0.3, along_m=0.5) == 0.0
+def test_what_is_seen_of_a_wall_is_where_the_returns_are():
+    on_it = BEHIND.copy()
+    on_it[:3, 1] = [2.13, 2.08, 2.06]  # within the noise of ends; the fourth is behind
+    np.testing.assert_allclose(seen_through(on_it, -3.0, 3.0), [[0.0] * 3, [2.0] * 3])
+    np.testing.assert_allclose(seen_through(on_it, -1.0, 3.0), [[0.0] * 3, [1.4] * 3])
+    on_it[0] = BEHIND[1] - [0.4, 0.0]  # two behind, which cross at -0.3 and -0.1
+    on_it[1] = BEHIND[1]
+    on_it[2] = [0.4, 2.1]
+    np.testing.assert_allclose(seen_through(on_it, -3.0, 3.0), [[0.2] * 3, [0.0] * 3], atol=1e-12)
+
+
+def test_the_wall_may_lie_two_sigmas_further_along_its_line():
+    # Two sigmas of 0.1 m: the wall ends at 0.7, 0.5 or 0.3, or begins at -0.3, -0.5 or -0.7; its tangent is -x.
+    assert seen_through(BEHIND, -3.0, 0.5, along_m=0.1)[0] == pytest.approx([1.3, 1.1, 0.9])
+    assert seen_through(BEHIND, -0.5, 3.0, along_m=0.1)[0] == pytest.approx([1.2, 1.4, 1.5])
+    on_it = BEHIND * [1.0, 0.0] + [0.0, 2.1]
+    assert seen_through(on_it, -3.0, 0.5, along_m=0.1)[1] == pytest.approx([2.3, 2.1, 1.9])
 
 
 def test_a_return_is_behind_a_wall_beyond_the_gate_and_the_noise_of_ends():
     near = BEHIND.copy()
     near[:, 1] = 2.16
-    assert seen_through(near, -3.0, 3.0) > 2.5 and seen_through(near - [0.0, 0.011], -3.0, 3.0) == 0.0
+    assert through(near, -3.0, 3.0) > 2.5 and through(near - [0.0, 0.011], -3.0, 3.0) == 0.0
     cov = np.array([[[0.0, 0.0], [0.0, 0.016**2]]])  # 3.715 sigmas of it are 0.0594 m
-    assert seen_through(near, -3.0, 3.0, cov) > 2.5 and seen_through(near - [0.0, 0.001], -3.0, 3.0, cov) == 0.0
+    assert through(near, -3.0, 3.0, cov) > 2.5 and through(near - [0.0, 0.001], -3.0, 3.0, cov) == 0.0
     turns = np.array([[[0.02**2, 0.0], [0.0, 0.0]]])  # 0.02 rad at 0.9 m are 0.018 m; beams cross at up to 1.37 m
-    assert 0.0 < seen_through(near, -3.0, 3.0, turns) < 2.0
+    assert 0.0 < through(near, -3.0, 3.0, turns) < 2.0
     # The wall turns about x = -1.3: 0.0594 m are 0.8 m from there, between the second and the third crossing.
     about = 0.02**2 * np.array([[[1.0, 1.3], [1.3, 1.69]]])
-    assert seen_through(near, -3.0, 3.0, about) == pytest.approx(2.0 / 2.06)
+    assert through(near, -3.0, 3.0, about) == pytest.approx(2.0 / 2.06)
 
 
 def test_the_variance_of_an_offset_is_that_of_drawn_walls():
@@ -109,7 +128,9 @@ def test_an_uncertain_robot_matches_no_piece_of_wall_with_which_it_would_see_thr
     piece = seen(pose, walls - NEARER, (-0.7, -0.1))
     # 0.25 m behind the piece is 0.05 m before the wall: it is behind where the match puts the robot.
     through = beyond(pose, walls - NEARER, 0.25, 0.0, 1.2)
-    for returns in (None, beyond(pose, walls - NEARER, 0.0, -0.7, 1.1), beyond(pose, walls - NEARER, 0.25, 0.0, 0.3)):
+    on_it, little = beyond(pose, walls - NEARER, 0.0, -1.4, -0.1), beyond(pose, walls - NEARER, 0.25, 0.0, 0.3)
+    more_of_it = Returns(through.laser, np.vstack([on_it.points, through.points]))
+    for returns in (None, on_it, little, more_of_it):
         assert list(associator.associate(piece, estimator, returns=returns).observations) == [0]
     # It may still be this wall, so it is no other one either.
     assert not associator.associate(piece, estimator, returns=through).observations
@@ -188,7 +209,7 @@ def test_predictions_given_matches_are_those_of_gaussians_that_are_conditioned(s
     np.testing.assert_allclose(joint[:3, :3] - fall, cov[6:, 6:], atol=1e-12)
     none = innovations.given(np.full(3, -1))
     np.testing.assert_allclose(none[0], innovations.predicted)
-    assert not none[2].any() and least_likely(innovations.pairs, np.full(3, -1)) == -1
+    assert not none[2].any()
 
 
 def test_the_returns_are_those_of_the_keyframe_in_the_robots_frame(monkeypatch):
