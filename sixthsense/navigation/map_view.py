@@ -91,6 +91,7 @@ class MapView:
         self._revision: Revision | None = None
         self._due = _NOWHERE  # where views are to be drawn again
         self._ignored: Nodes = np.zeros(0, dtype=np.int64)
+        self._left_out = self._ignored  # of the wanted cells, since they were drawn
         self._space: FreeSpace | None = None
         self._attempts: Counts = np.zeros((0, 0), dtype=np.uint8)
         self._stops: Counts = np.zeros((0, 0), dtype=np.uint8)  # of the guard, on the way to each cell
@@ -181,8 +182,9 @@ class MapView:
         self.tile_ways.update(self.reached, self._changed)
 
     def heed(self) -> None:
-        """Take the cells that are ignored among the wanted ones again."""
-        self.wanted.ravel()[self._ignored] = True
+        """Take the cells that are left out of the wanted ones among them again."""
+        self.wanted.ravel()[self._left_out] = True
+        self._left_out = self._left_out[:0]
 
     def ignore(self, cells: Nodes) -> Bools:
         """Leave (N,) flat cells out of the wanted ones, instead of those that were left out before.
@@ -193,7 +195,7 @@ class MapView:
         row, col = np.divmod(np.setxor1d(cells, self._ignored), max(self.shape[1], 1))
         self._changed[row // TILE, col // TILE] = True
         self.heed()
-        self._ignored = cells
+        self._ignored = self._left_out = cells
         self.wanted.ravel()[cells] = False
         changed: Bools = self._changed
         self._changed = np.zeros_like(changed)
@@ -308,7 +310,7 @@ class MapView:
 
     def _make_masks(self, frame: Box) -> None:
         """Begin with masks of another frame, with what was in the present one."""
-        if self._ignored.size:
+        if self._left_out.size:
             self.heed()
         before, self.frame = self.frame, frame
         self.edge, self._ignored = np.zeros((0, 2), dtype=np.int64), self._ignored[:0]

@@ -88,6 +88,8 @@ def view_order(ways: TileWays, here: Cell, views: Cells, home: Cell) -> Cells:
     """
     away = ways.lengths(here, views)
     nearest = np.argsort(away, kind="stable")
+    if np.isfinite(away).any():
+        nearest = nearest[np.isfinite(away[nearest])]  # a view that only beams lead to has no way over the tiles yet
     _, one_each = np.unique(views[nearest] // ways.tile, axis=0, return_index=True)
     stops = nearest[np.sort(one_each)][:_STOPS]
     lengths = np.zeros((len(stops) + 2, len(stops) + 2))

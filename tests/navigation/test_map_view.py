@@ -160,6 +160,26 @@ def test_cells_that_are_ignored_are_those_of_the_last_choice_alone() -> None:
     assert np.array_equal(view.wanted, wanted)
 
 
+def test_ignored_cells_that_have_been_seen_since_are_not_wanted_again() -> None:
+    rng, grid = np.random.default_rng(8), Grid(CONFIG.grid, RADIUS_M)
+    view = MapView(REGION, RADIUS_M, CONFIG)
+    was_seen = 0
+    for _ in range(9):
+        see(grid, rng)
+        view.update(grid)
+        before = view.wanted.copy()
+        view.draw_views(view.cell(np.zeros(2)))
+        if before.shape == view.wanted.shape:
+            was_seen += np.count_nonzero(before & ~view.wanted)
+        wanted = view.wanted.copy()
+        view.ignore(np.flatnonzero(wanted)[::3])
+        view.ignore(np.flatnonzero(wanted)[1::5])
+        view.heed()
+        assert np.array_equal(view.wanted, wanted)
+        view.ignore(np.flatnonzero(wanted)[::2])
+    assert was_seen > 0
+
+
 def test_spaces_with_a_margin_are_those_of_the_grid_within_the_limits() -> None:
     from sixthsense.slam.mapping.freespace import Ellipse
 

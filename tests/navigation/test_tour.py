@@ -48,6 +48,15 @@ def test_the_only_view_is_the_first() -> None:
     assert view_order(ways_over(free), (2, 2), np.array([(9, 9)]), (2, 2)).tolist() == [0]
 
 
+def test_a_view_without_a_way_over_the_tiles_is_no_stop_of_a_tour_home() -> None:
+    """The last view on the left lies on the way home; one behind a wall would leave the end of the tour open."""
+    free = np.ones((12, 120), dtype=np.bool_)
+    free[:, 100:108] = False
+    views = np.array([(6, 31), (7, 80), (5, 115)])
+    assert view_order(ways_over(free), (6, 50), views, (6, 3)).tolist() == [1, 0]
+    assert view_order(ways_over(free), (6, 50), views[2:], (6, 3)).tolist() == [0]
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_ways_over_tiles_are_nearly_those_over_cells(seed: int) -> None:
     rng = np.random.default_rng(seed)
