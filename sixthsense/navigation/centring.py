@@ -6,6 +6,8 @@ of the difference between the distances to the nearest obstacles on its two side
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 
@@ -26,9 +28,13 @@ def centred(grid: Grid, space: FreeSpace, path: Array) -> Array | None:
     """
     cell_m, tight_m = space.cell_m, grid.inflation_m
     reach_m = tight_m + cell_m
+    path = _apart(path, 0.5 * cell_m)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     past = min(NEAR_M, along[-1])
-    at = np.union1d(along[along < past], np.append(np.arange(cell_m, past, cell_m), past))
+    knots = np.append(along[along < past], past)
+    steps = np.ceil(np.diff(knots) / cell_m).astype(np.int64)  # none where the path was centred before
+    pieces = (np.linspace(a, b, n + 1)[1:] for a, b, n in zip(knots[:-1], knots[1:], steps, strict=True))
+    at = np.concatenate([knots[:1], *pieces])
     dense = np.column_stack([np.interp(at, along, path[:, axis]) for axis in (0, 1)])
     box = box_of(np.floor(dense[:, ::-1] / cell_m).astype(np.int64)).grown(int(reach_m / cell_m) + 2)
     is_moved = np.zeros(len(dense), dtype=np.bool_)
@@ -38,6 +44,18 @@ def centred(grid: Grid, space: FreeSpace, path: Array) -> Array | None:
     kept = (is_moved | np.isin(at, along)) & (at < past)
     found = np.vstack([dense[kept], path[along >= past]])
     return found if path_is_free(space, found) else None
+
+
+def _apart(path: Array, least_m: float) -> Array:
+    """The path (N, 2) without points that are nearer to the one before than `least_m`, which have no direction.
+
+    A path is centred at each keyframe, and in the middle of a bend its points come together.
+    """
+    kept = [0]
+    for k in range(1, len(path) - 1):
+        if min(math.dist(path[k], path[kept[-1]]), math.dist(path[k], path[-1])) >= least_m:
+            kept.append(k)
+    return path[[*kept, len(path) - 1]]
 
 
 @numba.njit(cache=True, error_model="numpy")

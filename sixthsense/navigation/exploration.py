@@ -6,6 +6,7 @@ has the costs of going, `path_driver.py` drives.
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -53,7 +54,7 @@ class Exploration:
         self._part = part_of(task.config, EXPLORERS)
         self.explorer: Explorer = self._part.make(task.rng)
         """chooses the views"""
-        self._ways_home = 0  # that were tried again
+        self._times_opened = 0  # that what the guard's stops have closed was opened
         self._stuck = False  # since the last arrival
         self._at_choice = 0.0, 0.0  # area seen and way driven, when the view was chosen
         self._waits, self._seen_m2 = 0, 0.0  # since the robot has seen anything new, and how much that was
@@ -131,6 +132,9 @@ class Exploration:
             row, col = self._target.viewpoint
             self.driver.head_for(self._view.point(row - self._view.frame.top, col - self._view.frame.left), pose)
             return
+        if self._is_shut_in and self._forgets_stops(pose):
+            self._choose_view(pose)
+            return
         planner = self._make_view_planner(pose)
         self.left = unseen_places(planner, planner.candidates())
         if self.left and self._may_wait():
@@ -206,14 +210,8 @@ class Exploration:
         return True
 
     def _look_for_a_way_home(self, pose: Pose) -> None:
-        """Without a path home, try again where the guard has stopped the robot, which has come through somewhere.
-
-        It is shut in: what it has left unseen may be beyond, so it explores on, and goes home when nothing is left.
-        """
-        if self._ways_home < TRIES:
-            self._ways_home += 1
-            self._view.forget_stops()
-            self.driver.update_map(self._map, pose)
+        """Without a path home, explore on where the guard has stopped the robot, or wait."""
+        if self._forgets_stops(pose):
             self._choose_view(pose)
             if self.driver.following or self._turning:
                 return
@@ -221,6 +219,24 @@ class Exploration:
             self.driver.plan(pose)
         else:
             self.outcome = "goal unreachable"
+
+    @property
+    def _is_shut_in(self) -> bool:
+        """Whether no cell near home is in reach."""
+        (row, col), span = self._view.cell(self._task.home), math.ceil(self._view.radius)
+        return not self._view.reached[max(row - span, 0) : row + span + 1, max(col - span, 0) : col + span + 1].any()
+
+    def _forgets_stops(self, pose: Pose) -> bool:
+        """Open what is closed because the guard has stopped the robot there, a few times; whether it is opened.
+
+        It has come through somewhere, so one of these places can be passed, or the robot has closed them about itself.
+        """
+        if self._times_opened == TRIES:
+            return False
+        self._times_opened += 1
+        self._view.forget_stops()
+        self.driver.update_map(self._map, pose)
+        return True
 
     def _finish(self) -> None:
         explored: Outcome = "explored in part" if self.left else "explored"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import bisect
+import heapq
 import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numba
 import numpy as np
 from scipy import ndimage
 
@@ -86,7 +87,7 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
                 mark_visible(visible[reason], view.opaque, hidden, *cell, reach)
                 seen_from[reason].append(cell)
                 break
-    places = []
+    places, gaps = [], None
     for reason, mask in visible.items():
         labels, _ = ndimage.label(mask & hidden)
         hidden &= ~mask
@@ -96,8 +97,8 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
             x, y = view.point(*centre)
             gap_m = None
             if reason != "gave up":
-                nearest = min(seen_from[reason], key=lambda cell: math.dist(cell, centre))
-                gap_m = _gap_m(planner, nearest)
+                gaps = gaps or _Gaps(planner)
+                gap_m = gaps.width_m(min(seen_from[reason], key=lambda cell: math.dist(cell, centre)))
             places.append(UnseenPlace(float(x), float(y), len(cells) * view.cell_m**2, reason, gap_m))
     places.sort(key=lambda place: -place.area_m2)
     small = sum(place.area_m2 for place in places if place.area_m2 < LEAST_AREA_M2)
@@ -106,31 +107,60 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
     return [place for place in places if place.area_m2 >= LEAST_AREA_M2]
 
 
-def _gap_m(planner: ViewPlanner, cell: Cell) -> float | None:
-    """How wide the narrowest gap is on the widest way from the cells in reach to another one, m; None without a way."""
-    from scipy.spatial import cKDTree  # here, since a run that begins need not wait for it
+class _Gaps:
+    """How wide the narrowest gap is on the widest way from the cells in reach to each other one."""
 
-    view = planner.view
-    points = view.grid.obstacle_points(view.frame)
-    if len(points) == 0:
-        return None
-    obstacles = cKDTree(points)
-    rows, cols = np.nonzero(view.free)
-    centres = np.stack([(view.frame.left + cols + 0.5), (view.frame.top + rows + 0.5)], axis=1) * view.cell_m
-    away = np.zeros(view.shape)
-    away[rows, cols] = obstacles.query(centres)[0]
+    def __init__(self, planner: ViewPlanner) -> None:
+        from scipy.spatial import cKDTree  # here, since a run that begins need not wait for it
 
-    def is_way(half: float) -> bool:
-        parts, _ = ndimage.label(away >= half, np.ones((3, 3)))
-        return bool((parts[planner.reachable & (parts > 0)] == parts[cell]).any())
+        view = planner.view
+        self._points, self._reachable = view.grid.obstacle_points(view.frame), planner.reachable
+        self._cell_m, self._first = view.cell_m, view.first
+        rows, cols = np.nonzero(view.free)
+        centres = np.stack([(self._first[1] + cols + 0.5), (self._first[0] + rows + 0.5)], axis=1) * self._cell_m
+        self._away = np.zeros(view.shape)
+        self._away[rows, cols] = cKDTree(self._points).query(centres)[0] if len(self._points) else math.inf
+        self._half = widest_ways(self._away, self._reachable)
+        self._widths: dict[float, float] = {}
 
-    halves = np.unique(away[(away > 0.0) & (away <= away[cell])])[::-1]
-    k = bisect.bisect_left(halves, True, key=is_way)
-    if k == len(halves):
-        return None
-    row, col = _bottleneck(away, halves[k], planner.reachable)
-    width_m = _width_m(points, (np.array([view.frame.left + col, view.frame.top + row]) + 0.5) * view.cell_m)
-    return None if math.isinf(width_m) else width_m
+    def width_m(self, cell: Cell) -> float | None:
+        """That on the way to a cell, metres; None without a way, or where one of its sides was not seen."""
+        half = float(self._half[cell])
+        if half == 0.0 or len(self._points) == 0:
+            return None
+        if half not in self._widths:
+            row, col = _bottleneck(self._away, half, self._reachable)
+            middle = (np.array([self._first[1] + col, self._first[0] + row]) + 0.5) * self._cell_m
+            self._widths[half] = _width_m(self._points, middle)
+        return None if math.isinf(self._widths[half]) else self._widths[half]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def widest_ways(away: Array, sources: Bools) -> Array:
+    """(H, W) largest of the least values of `away` (H, W), at least 0, on the ways from the `sources` to each cell.
+
+    Ways lead from cell to cell, also across corners, over positive values. Cells are settled in the order of Dijkstra,
+    the largest first.
+    """
+    height, width = away.shape
+    found, queue = np.zeros((height, width)), [(0.0, 0)]
+    for row in range(height):
+        for col in range(width):
+            if sources[row, col] and away[row, col] > 0.0:
+                found[row, col] = away[row, col]
+                heapq.heappush(queue, (-away[row, col], row * width + col))
+    while queue:
+        value, cell = heapq.heappop(queue)
+        row, col = cell // width, cell % width
+        if -value < found[row, col]:
+            continue
+        for r in range(max(row - 1, 0), min(row + 2, height)):
+            for c in range(max(col - 1, 0), min(col + 2, width)):
+                least = min(-value, away[r, c])
+                if least > found[r, c]:
+                    found[r, c] = least
+                    heapq.heappush(queue, (-least, r * width + c))
+    return found
 
 
 def _bottleneck(away: Array, half: float, reachable: Bools) -> Cell:

@@ -64,6 +64,22 @@ def test_a_path_is_not_moved_onto_a_blocked_cell() -> None:
     assert centred(Walls(points), space((21, 34)), path) is None  # the cell at (0.725, 0.075)
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_path_that_is_centred_at_each_keyframe_neither_grows_nor_folds_back(seed: int) -> None:
+    """A bend between walls, of which each look has another noise, before a robot that stands."""
+    rng = np.random.default_rng(seed)
+    along, far = np.arange(0.0, 1.2, 0.03), np.arange(0.0, 0.7, 0.03)
+    outer = [(x, 0.0) for x in along] + [(1.2, y) for y in along]
+    inner = [(x, 0.49) for x in far] + [(0.71, 0.49 + y) for y in far]
+    walls, path = np.array([*outer, *inner]), np.array([[0.1, 0.21], [0.93, 0.23], [0.94, 1.15]])
+    for _ in range(80):
+        found = centred(Walls(walls + rng.normal(0.0, 0.01, walls.shape)), space(), path)
+        path = path if found is None else found
+        steps = np.diff(path, axis=0)
+        assert len(path) < 60 and np.hypot(*steps.T).sum() < 1.8
+        assert np.count_nonzero(np.sum(steps[1:] * steps[:-1], axis=1) < 0.0) <= 1  # where the robot is off the middle
+
+
 def corridor(width_m: float) -> Scene:
     """Two rooms and a corridor of 1.3 m between them, at an angle to the cells."""
     half, length, (depth, height) = 0.5 * width_m, 1.3, (2.1, 1.7)

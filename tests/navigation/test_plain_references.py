@@ -5,10 +5,12 @@ import math
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.gridsearch.prices import cheapest_way
 from sixthsense.navigation.tour import TileWays, shorten, tour_length
+from sixthsense.navigation.unseen_places import widest_ways
 from sixthsense.navigation.visibility import expected_gain, line_of_sight, visible_cells
 
 
@@ -117,3 +119,18 @@ def test_the_cheapest_way_over_dear_cells_costs_what_is_said(seed):
                 cost += 5 * int(prices[to_r, to_c])
         assert cost == costs[row, col]
     assert len(cheapest_way(prices, costs, *np.argwhere(costs < 0)[0])) == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_widest_way_to_a_cell_is_that_of_the_largest_threshold_above_which_it_is_connected(seed):
+    rng = np.random.default_rng(seed)
+    away = np.where(rng.random((17, 23)) < 0.45, 0.0, rng.uniform(0.1, 3.0, (17, 23)))
+    sources = rng.random(away.shape) < 0.02
+    expected = np.zeros_like(away)
+    for value in np.unique(away[away > 0.0]):
+        parts, _ = ndimage.label(away >= value, np.ones((3, 3)))
+        own = np.unique(parts[sources & (parts > 0)])
+        expected[np.isin(parts, own) & (parts > 0)] = value
+    found = widest_ways(away, sources)
+    np.testing.assert_array_equal(found, expected)
+    assert (found > 0.0).any() and (found[away > 0.0] == 0.0).any()
