@@ -113,7 +113,7 @@ class Associator:
         self._unknown.add(points, matches.landmark[is_point] < 0)
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
-        self._count_new_sides(matches, estimate)
+        self._count_new_sides(observations, matches, estimate)
         self._count_new_stretches(observations, matches, estimate.pose)
         updated = estimate.pose if proposed is not None else matches.pose
         known, pieces = self._seen_again(observations, matches, estimate, updated)
@@ -123,30 +123,30 @@ class Associator:
         discarded = len(observations) - len(accepted) - pieces
         return Association(accepted, discarded, nis, dof, pieces, slip)
 
-    def _count_new_sides(self, matches: Matches, estimate: Estimate) -> None:
+    def _count_new_sides(self, observations: Sequence[Observation], matches: Matches, estimate: Estimate) -> None:
         """Learn from what is seen from new sides how many are other points, and how far the same ones are off."""
         places = matches.places
         rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        for i, (observation, log_density) in matches.new_sides.items():
+        for i, (k, log_density) in matches.new_sides.items():
             assert matches.innovations is not None
+            seen = observations[k]
             x, y = (estimate.pose.position - estimate.landmarks[rows[i]]).tolist()
             if self.records[i].corner.counts(math.atan2(y, x)):
                 is_same = self._unknown.add_new_side(log_density)
                 if is_same == 0.0:
                     continue
-                added = 2.0 * self._of_sides.square_m2
-                squared, information = matches.innovations.without(observation, places[i], added, np.eye(2))
+                squared, information = matches.innovations.without(seen, places[i], seen.cov, np.eye(2))
                 self._of_sides.add(squared, information, is_same)
 
     def _count_new_stretches(self, observations: Sequence[Observation], matches: Matches, pose: Pose) -> None:
         """Learn from walls that are seen elsewhere than before how far they are off there."""
         places = matches.places
-        added = self._of_stretches.square_m2
-        for k, (observation, i) in enumerate(zip(observations, matches.landmark.tolist(), strict=True)):
+        for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
             if i >= 0 and observation.is_wall and self.records[i].is_new_stretch(pose, observation):
                 assert matches.innovations is not None
                 unit = unit_cov(*observation.extent, True)
-                self._of_stretches.add(*matches.innovations.without(k, places[i], added, unit))
+                cov = observation.cov + self.records[i].shape.square_m2(self._crookedness.excess) * unit
+                self._of_stretches.add(*matches.innovations.without(observation, places[i], cov, unit))
 
     def _seen_again(
         self, observations: Sequence[Observation], matches: Matches, estimate: Estimate, updated: Pose

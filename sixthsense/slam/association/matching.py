@@ -60,15 +60,16 @@ class Innovations(NamedTuple):
     walls: Mask
     """(k,) which of the landmarks are walls"""
 
-    def without(self, i: int, j: int, square_m2: float, unit: Array) -> tuple[float, float]:
-        """Squared innovation of a pair whose covariance lacks `square_m2` times `unit` (2, 2), and how it grows.
+    def without(self, observation: Observation, j: int, cov: Array, unit: Array) -> tuple[float, float]:
+        """Squared innovation of an observation with another `cov` (2, 2), and how that grows with multiples of `unit`.
 
-        The latter is half of what its mean gains per m^2 of these, 1/m^2.
+        The latter, for a `unit` (2, 2) of 1 m^2, is half of what its mean gains per m^2 of these, 1/m^2.
         """
         at = slice(2 * j, 2 * j + 2)
-        information = np.linalg.inv(self.pairs.predicted[at, at] + self.pairs.noise[i, j] - square_m2 * unit)
-        value = self.pairs.values[i, j]
-        return float(value @ information @ value), 0.5 * float(np.trace(information @ unit))
+        z, predicted, walls = (np.stack([one, one]) for one in (observation.z, self.predicted[j], self.walls[j]))
+        values, (own, of_unit) = innovations_of(z, np.stack([cov, unit]), predicted, walls)
+        information = np.linalg.inv(self.pairs.predicted[at, at] + own)
+        return float(values[0] @ information @ values[0]), 0.5 * float(np.trace(information @ of_unit))
 
     def pose_given(self, pose: Pose, matched: Indices) -> Pose:
         """The predicted `pose` updated with matches (m,), -1: none; report eq. 10."""
