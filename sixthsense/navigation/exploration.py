@@ -22,8 +22,8 @@ from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
 from sixthsense.navigation.path_planner import DETOUR, DrivingMap, margin_m
 from sixthsense.navigation.pose_history import LOST_M, PoseHistory
-from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
-from sixthsense.navigation.view_planner import LEAST_AREA_M2, NO_TARGET, Candidates, Target, ViewPlanner
+from sixthsense.navigation.unseen_places import LEAST_AREA_M2, UnseenPlace, unseen_places
+from sixthsense.navigation.view_planner import NO_TARGET, Candidates, Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.views import KnownViews, SensorModel, ViewGain
 from sixthsense.navigation.visibility import visible_cells
@@ -136,7 +136,7 @@ class Exploration:
             self._choose_view(pose)
             return
         planner = self._make_view_planner(pose)
-        self.left = unseen_places(planner, planner.candidates())
+        self.left = unseen_places(planner, planner.candidates(self._view.filled))
         if self.left and self._may_wait():
             self._turning = True
             self.driver.wait(pose)
@@ -245,11 +245,12 @@ class Exploration:
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view from a cell in reach; None if nothing is left to see from there.
 
-        Specks between beams are looked at last: most of them are seen on the way to places.
+        The far end of what a laser reaches is seen in single beams. What is beside these is looked at last: most of it
+        is seen on the way to what is nearer.
         """
         planner = self._make_view_planner(pose)
-        found = self._chosen(planner, planner.candidates(LEAST_AREA_M2))
-        return found or self._chosen(planner, planner.candidates())
+        found = self._chosen(planner, planner.candidates())
+        return found or self._chosen(planner, planner.candidates(self._view.filled))
 
     def _chosen(self, planner: ViewPlanner, candidates: Candidates) -> Target | None:
         """The explorer's choice among candidates; None if there are none. Raises PartError for one that is none."""

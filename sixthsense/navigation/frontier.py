@@ -94,19 +94,18 @@ def _eroded(mask: Bools) -> Bools:
     return ~dilated(~mask)
 
 
-def smallest_regions(unseen: Bools, edge: Cells, max_cells: float, least: int) -> Nodes:
-    """(N,) flat cells of the regions of `unseen` of fewer than `least` cells, and of the smallest, `max_cells` in all.
+def smallest_regions(unseen: Bools, edge: Cells, max_cells: float) -> Nodes:
+    """(N,) flat cells of the smallest regions of `unseen`, up to `max_cells` in all.
 
     Regions are connected edge to edge. One without a cell of `edge` (N, 2) beside it is not visible and does not count.
     """
-    cells, ends = small_regions(unseen, edge, max(math.floor(max_cells), least - 1))
+    cells, ends = small_regions(unseen, edge, math.floor(max_cells))
     if len(ends) == 0:
         return cells
     sizes = np.diff(ends, prepend=0)
     order = np.lexsort((np.minimum.reduceat(cells, ends - sizes), sizes))  # of equals the first, row by row
     is_small = np.zeros(len(sizes), dtype=np.bool_)
-    counted = np.where(sizes[order] < least, 0, sizes[order])
-    is_small[order[np.cumsum(counted) <= max_cells]] = True
+    is_small[order[np.cumsum(sizes[order]) <= max_cells]] = True
     return np.asarray(cells[np.repeat(is_small, sizes)])
 
 

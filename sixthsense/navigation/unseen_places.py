@@ -15,7 +15,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.regions import frontier_cells, in_large_regions
-from sixthsense.navigation.view_planner import LEAST_AREA_M2, Candidates, ViewPlanner
+from sixthsense.navigation.view_planner import Candidates, ViewPlanner
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.slam.mapping.freespace import Bools
@@ -23,6 +23,8 @@ from sixthsense.slam.mapping.inflation import too_near
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
+LEAST_AREA_M2 = 0.02
+"""a place counts as left unseen if it is at least this large: eight cells, which noise at edges does not reach"""
 _OPPOSITE = -0.8  # cosine: the two sides of a gap are at an angle larger than this, those of a corner are not
 _SMALL_PLACES_FRACTION = 0.003  # of the area seen: small places are listed when together they exceed this
 

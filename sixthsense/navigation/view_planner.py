@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,9 +22,6 @@ from sixthsense.slam.mapping.freespace import Bools
 
 IGNORED_AREA_FRACTION = 0.001
 """of the area seen: small unseen areas, the smallest first, that are together no larger are not worth a way"""
-LEAST_AREA_M2 = 0.02
-"""a place counts as unseen if it is at least this large: eight cells, which noise at edges and between beams does not
-reach"""
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 
 
@@ -85,21 +81,25 @@ class ViewPlanner:
         """The map."""
         return self.gain.view
 
-    def candidates(self, least_m2: float = 0.0) -> Candidates:
+    def candidates(self, connected: Bools | None = None) -> Candidates:
         """What may be looked at: unseen cells that were not given up, beside free cells that are not noise.
 
-        A place counts that is connected, by edges of cells, to the robot's or large; what lies between two beams
-        connects. Of the unseen cells, areas of less than `least_m2` do not count, and the smallest that together are
-        dust.
+        A place counts that is `connected` (H, W), by edges of cells, to the robot's or large; the free cells connect.
         """
         view = self.view
         view.heed()
         wanted = view.wanted
         edge = view.edge[are_beside(wanted, view.edge)]
-        here = view.cell(self.pose.position)
-        edge = edge[in_large_regions(view.filled, edge, self.glimpsed_cells(), here)]
+        edge = edge[
+            in_large_regions(
+                view.free if connected is None else connected,
+                edge,
+                self.glimpsed_cells(),
+                view.cell(self.pose.position),
+            )
+        ]
         spare = IGNORED_AREA_FRACTION * np.count_nonzero(view.seen)
-        ignored = smallest_regions(wanted, edge, spare, math.ceil(least_m2 / view.cell_m**2))
+        ignored = smallest_regions(wanted, edge, spare)
         self.known.forget(view.ignore(ignored), view.first)
         edge = edge[are_beside(wanted, edge)]
         first = np.array(view.first)

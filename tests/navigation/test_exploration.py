@@ -116,12 +116,12 @@ def test_without_the_guard_no_robot_passes_a_door_that_the_clearance_closes(tmp_
 
 def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path: Path) -> None:
     """With so few beams the report's filter itself is lost in one run of ten."""
-    runs = [explored(tmp_path, SIX_ROOMS, seed=seed, estimator="ekf", laser={"beams": 30}) for seed in range(2, 6)]
+    runs = [explored(tmp_path, SIX_ROOMS, seed=seed, estimator="ekf", laser={"beams": 30}) for seed in range(2, 10)]
     whole = [made for made in runs if made.outcome == "explored"]
-    assert len(whole) >= 3
+    assert len(whole) >= 6
     for made in whole:
         assert math.dist(made.trace.final.pose.position, made.trace.key_truths[0][:2]) <= 0.1  # as it believes
-    assert sum(made.metrics["home_error_m"] <= 0.2 for made in whole) >= 2
+    assert sum(made.metrics["home_error_m"] <= 0.2 for made in whole) >= 4
 
 
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-import itertools
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -53,26 +51,18 @@ def test_small_regions_are_dropped_the_smallest_first_up_to_the_area_allowed() -
     unseen = np.zeros((10, 20), dtype=np.bool_)
     unseen[2, 2] = unseen[5, 5:7] = unseen[8, 10:20] = True
     edge = np.argwhere(frontier_cells(~unseen, unseen))
-    assert frontier.smallest_regions(unseen, edge, 2.0, 1).tolist() == [42]
-    assert sorted(frontier.smallest_regions(unseen, edge, 3.0, 1).tolist()) == [42, 105, 106]
+    assert frontier.smallest_regions(unseen, edge, 2.0).tolist() == [42]
+    assert sorted(frontier.smallest_regions(unseen, edge, 3.0).tolist()) == [42, 105, 106]
 
 
-def test_regions_of_fewer_cells_than_count_are_dropped_and_take_nothing_from_the_area_allowed() -> None:
-    unseen = np.zeros((10, 20), dtype=np.bool_)
-    unseen[2, 2] = unseen[5, 5:7] = unseen[5, 15:17] = unseen[8, 10:13] = unseen[0, 6:10] = True
-    edge = np.argwhere(frontier_cells(~unseen, unseen))
-    assert sorted(frontier.smallest_regions(unseen, edge, 0.0, 3).tolist()) == [42, 105, 106, 115, 116]
-    assert sorted(frontier.smallest_regions(unseen, edge, 3.0, 3).tolist()) == [42, 105, 106, 115, 116, 170, 171, 172]
-
-
-def plain_smallest(unseen: Mask, edge: Mask, max_cells: float, least: int) -> Mask:
+def plain_smallest(unseen: Mask, edge: Mask, max_cells: float) -> Mask:
     """`smallest_regions` by labels of the whole mask."""
     labels, count = ndimage.label(unseen)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
     beside = np.unique(labels[frontier_cells(unseen, edge)])
     order = beside[np.argsort(sizes[beside], kind="stable")]
     dropped = np.zeros(count + 1, dtype=np.bool_)
-    dropped[order[np.cumsum(sizes[order] * (sizes[order] >= least)) <= max_cells]] = True
+    dropped[order[np.cumsum(sizes[order]) <= max_cells]] = True
     return unseen & dropped[labels]
 
 
@@ -81,9 +71,9 @@ def plain_smallest(unseen: Mask, edge: Mask, max_cells: float, least: int) -> Ma
 def test_dropped_regions_are_those_that_labels_of_the_whole_map_say(seed: int, share: float) -> None:
     unseen = scattered(seed, share)
     edge = frontier_cells(~unseen & scattered(seed + 50, 0.6), unseen)
-    for most, least in itertools.product((0.0, 0.9, 3.5, 12.0, 40.0, 1000.0), (1, 3, 8)):
-        found = frontier.smallest_regions(unseen, np.argwhere(edge), most, least)
-        assert np.array_equal(np.sort(found), np.flatnonzero(plain_smallest(unseen, edge, most, least)))
+    for most in (0.0, 0.9, 3.5, 12.0, 40.0, 1000.0):
+        found = frontier.smallest_regions(unseen, np.argwhere(edge), most)
+        assert np.array_equal(np.sort(found), np.flatnonzero(plain_smallest(unseen, edge, most)))
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -50,7 +50,7 @@ def planner(opening: int, behind: Bools | None = None, tries: int = 0, screen: b
     view.seen[:height, :width], view.obstacles[:height, :width] = seen, obstacles
     view.blocked[:] = too_near(view.obstacles, (RADIUS_M + CLEARANCE_M) / CELL_M)
     view.opaque[:] = ndimage.binary_dilation(view.obstacles, np.ones((5, 5), dtype=np.bool_))
-    view.free[:] = view.filled[:] = view.seen & ~view.obstacles
+    view.free[:] = view.seen & ~view.obstacles
     view.edge = np.argwhere(frontier_cells(view.free, ~view.seen))
     view._attempts[view.unseen] = tries
     solid = view.obstacles.astype(np.int32)
@@ -106,9 +106,8 @@ def test_what_is_beside_single_beams_is_to_be_seen_where_what_is_between_them_co
     view.filled[22:38, 61:70] = True
     view.edge = np.argwhere(frontier_cells(view.free, view.wanted))
     assert len(view.edge) == 6
-    assert sum(len(cells) for cells in made.candidates().clusters) == 6
-    view.filled[:] = view.free
     assert made.candidates().clusters == []
+    assert sum(len(cells) for cells in made.candidates(view.filled).clusters) == 6
 
 
 def test_what_all_views_show_together_is_ignored_if_it_is_little(
