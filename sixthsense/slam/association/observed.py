@@ -117,6 +117,12 @@ def _ends(z: Array, walls: Mask, extents: Array) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
+def offset_variance(cov: Array, along: float) -> float:
+    """Variance, m^2, of the offset of a wall with `cov` (2, 2) at a place `along` it, m from the foot of its normal."""
+    return float(cov[1, 1] - 2.0 * along * cov[0, 1] + along * along * cov[0, 0])
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _sigmas(observed: Observed, pose_m: float, heading: float) -> Array:
     out = np.empty(len(observed.z))
     for i in range(len(out)):
@@ -125,7 +131,7 @@ def _sigmas(observed: Observed, pose_m: float, heading: float) -> Array:
         var = cov[0, 0] + cov[1, 1]
         if observed.walls[i]:
             along = math.cos(alpha) * y - math.sin(alpha) * x
-            var = cov[1, 1] - 2.0 * along * cov[0, 1] + along * along * cov[0, 0]
+            var = offset_variance(cov, along)
         out[i] = math.sqrt(max(var, 0.0)) + math.hypot(x, y) * heading + pose_m
     return out
 

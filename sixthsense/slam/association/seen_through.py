@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.association.observed import WALL_GAP_M
+from sixthsense.slam.association.observed import WALL_GAP_M, offset_variance
 
 _SIGMAS = 2.0
 """of the place along a wall"""
@@ -32,7 +32,7 @@ class Returns(NamedTuple):
 def offset_variances(lines: Array, covs: Array, places: Array) -> Array:
     """(k,) variance of the offsets, m, of walls `lines` (k, 2) with `covs` (k, 2, 2), at `places` (k, 2) on them."""
     along = places[:, 1] * np.cos(lines[:, 0]) - places[:, 0] * np.sin(lines[:, 0])
-    return np.asarray(covs[:, 1, 1] + along * (along * covs[:, 0, 0] - 2.0 * covs[:, 0, 1]))
+    return np.array([offset_variance(cov, place) for cov, place in zip(covs, along, strict=True)])
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -55,8 +55,7 @@ def lengths_seen(returns: Returns, lines: Array, covs: Array, extents: Array, al
         for i in range(len(returns.points)):
             x, y = returns.points[i, 0], returns.points[i, 1]
             beyond, is_now, crossing = c * x + s * y - lines[j, 1], _BEFORE, c * y - s * x
-            variance = covs[j, 1, 1] + crossing * (crossing * covs[j, 0, 0] - 2.0 * covs[j, 0, 1])
-            limit = max(gate * variance, WALL_GAP_M**2)
+            limit = max(gate * offset_variance(covs[j], crossing), WALL_GAP_M**2)
             if beyond * beyond <= limit:
                 is_now = _ON
             elif beyond * across < 0.0:
