@@ -1,16 +1,18 @@
 """Landmarks seen anew, from another side or at another stretch, and how far these are off."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.core.landmarks import Kind, Observation, WallShape
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.displacement import Displacement
+from sixthsense.slam.association.matching import Innovations
 from sixthsense.slam.association.records import Footprint, Record, unit_cov
 from sixthsense.slam.estimators import make_estimator
 
@@ -130,6 +132,28 @@ def test_walls_that_bend_between_two_stretches_make_new_stretches_less_certain(s
     for (_, seen, told), size in zip(found, sizes_m, strict=True):
         np.testing.assert_allclose(told.cov, seen.cov + size**2 * unit_cov(*seen.extent, True), rtol=1e-9)
         np.testing.assert_allclose(told.bend.cov, told.cov - seen.cov, rtol=1e-9)
+
+
+def test_what_a_crooked_wall_explains_at_another_stretch_is_no_displacement(monkeypatch):
+    rng, pose, given = np.random.default_rng(8), Pose(0.7, -1.4, 0.3), []
+    estimator = make_estimator("ekf-invariant", pose, np.zeros((3, 3)))
+    associator = Associator(AssociationConfig())
+    without = Innovations.without
+
+    def kept(self, observation, j, cov, unit):
+        given.append((observation, cov))
+        return without(self, observation, j, cov, unit)
+
+    monkeypatch.setattr(Innovations, "without", kept)
+    shape = WallShape((0.013, -0.006), (2e-6, 3e-6))
+    for half in (0, 0, 0, 1):
+        seen = half_of(pose, 0.8 * half, 0.8 * half + 0.8, np.zeros(2), rng)
+        told = associator.associate([replace(seen, shape=shape)], estimator).observations
+        square_m2 = associator.records[0].shape.square_m2(associator._crookedness.excess)
+        estimator.update(told)
+    ((seen, cov),) = given
+    assert square_m2 > 1.5e-4  # nearly the sum of the squares of both amplitudes
+    np.testing.assert_allclose(cov - seen.cov, square_m2 * unit_cov(*seen.extent, True), rtol=0.1)
 
 
 def posts(seed, size_m):
