@@ -23,8 +23,8 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.log import Log, Relations
-from sixthsense.sources.logs.stamps import matched
+from sixthsense.logs.log import Log, Relations
+from sixthsense.logs.stamps import matched
 
 Ticks = Sequence[Tick]
 

@@ -31,8 +31,8 @@ from tours import tour_figures
 from worlds import plan, plans_at_hand, world
 
 from sixthsense.config import Config, preset
+from sixthsense.logs.replay_input import of_log, open_recorded
 from sixthsense.running.runs import QUIET, simulate
-from sixthsense.sources.replay_input import of_log, open_recorded
 
 CODE = code_of(
     "asked", "evidence_landmarks", "explored_worlds", "generated_worlds", "harness", "tours", "worlds"

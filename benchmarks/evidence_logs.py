@@ -51,7 +51,7 @@ from repetition_scenes import SCENES
 from tours import short_drive
 
 from sixthsense.config import merge, preset
-from sixthsense.sources.replay_input import of_log, open_recorded
+from sixthsense.logs.replay_input import of_log, open_recorded
 
 CODE = code_of("asked", "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")
 """what the figures depend on"""

@@ -23,10 +23,10 @@ import sixthsense as ss
 from sixthsense.config import Config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
+from sixthsense.logs.graph import read_graph
+from sixthsense.logs.mrclam import read_mrclam, true_landmarks
 from sixthsense.running.warmup import prepare
 from sixthsense.slam.estimators import ESTIMATORS
-from sixthsense.sources.logs.graph import read_graph
-from sixthsense.sources.logs.mrclam import read_mrclam, true_landmarks
 from sixthsense.testing.circle import follow, simulate
 
 FIRST_SEED = 1000

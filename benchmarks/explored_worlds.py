@@ -39,7 +39,7 @@ from worlds import plan, plans_at_hand, world
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.running.runs import QUIET, simulate
-from sixthsense.sources.scene import Scene
+from sixthsense.simulation.scene import Scene
 
 _SLACK_S = 120.0  # for turns, where the travel that a run is allowed is short
 CODE = code_of("asked", "explored_worlds", "generated_worlds", "harness", "nearest_frontier", "worlds")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.core.geometry import Array, rotation
-from sixthsense.sources.scene import Scene
+from sixthsense.simulation.scene import Scene
 
 RADIUS_M = 0.18
 _WIDTH, _HEIGHT = 16.0, 10.0

@@ -32,10 +32,10 @@ from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import relations_error
 from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.run import Run, load
+from sixthsense.logs.log import Log, Relations
+from sixthsense.logs.replay_input import ReplayInput
 from sixthsense.loop.run import OnTick
 from sixthsense.running.runs import RunHooks, replay_log, simulate
-from sixthsense.sources.logs.log import Log, Relations
-from sixthsense.sources.replay_input import ReplayInput
 
 T = TypeVar("T")
 R = TypeVar("R")

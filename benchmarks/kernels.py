@@ -27,9 +27,9 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import beams_of, cast_among, cast_rays
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import shortest_path
+from sixthsense.simulation.scene import Scene, load_scene
 from sixthsense.slam.features import extract
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.sources.scene import Scene, load_scene
 
 LIMITS = {
     "raycast_speedup_numpy": ">= 12",

@@ -22,10 +22,10 @@ from harness import arguments, data_path
 import sixthsense
 from sixthsense.config import Config, preset
 from sixthsense.core.source import Command, Source, Tick
+from sixthsense.logs.log import Playback
+from sixthsense.logs.replay_input import open_recorded
+from sixthsense.simulation.mission import mission_of
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.log import Playback
-from sixthsense.sources.mission import mission_of
-from sixthsense.sources.replay_input import open_recorded
 
 PACKAGE = str(Path(sixthsense.__file__).parent)
 TICKS = 3000

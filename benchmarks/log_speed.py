@@ -21,8 +21,8 @@ import numpy as np
 from harness import HERE, Figures, data_path, environment, printed, trees
 
 from sixthsense.evaluation.metrics import relations_error
-from sixthsense.sources.logs import open_log
-from sixthsense.sources.logs.log import read_relations
+from sixthsense.logs import open_log
+from sixthsense.logs.log import read_relations
 
 LOGS = {"intel": 16.0, "fr079": 10.0, "aces": 10.0}
 """processor time to reach, s"""

@@ -22,8 +22,8 @@ from sixthsense.core.geometry import Array, rotation
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import heading_rmse
+from sixthsense.logs.mrclam import read_mrclam, robots, true_landmarks
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.mrclam import read_mrclam, robots, true_landmarks
 
 ROBOT = 3
 ON_LINE = ("ekf-invariant", "isam2")

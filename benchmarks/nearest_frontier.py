@@ -22,8 +22,8 @@ from sixthsense.navigation.gridsearch import Costs, costs_from, shortest_path
 from sixthsense.navigation.gridsearch.prices import STRAIGHT
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.visibility import mark_visible
-from sixthsense.sources.mission import mission
-from sixthsense.sources.scene import Scene, load_scene
+from sixthsense.simulation.mission import mission
+from sixthsense.simulation.scene import Scene, load_scene
 
 CELL_M = 0.1
 Mask = NDArray[np.bool_]

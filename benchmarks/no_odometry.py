@@ -20,9 +20,9 @@ import sixthsense as ss
 from sixthsense.config import Config
 from sixthsense.core.se2 import compose
 from sixthsense.evaluation.metrics import relations_error
+from sixthsense.logs.replay_input import open_recorded
 from sixthsense.slam.scans.front_end import ScanFrontEnd
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.replay_input import open_recorded
 
 LOGS = ("fr079", "intel", "aces")
 TOURS = ("apartment", "office")

@@ -25,9 +25,9 @@ from sixthsense.config import preset
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
+from sixthsense.logs.replay_input import of_log, open_recorded
+from sixthsense.logs.stamps import matched
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.stamps import matched
-from sixthsense.sources.replay_input import of_log, open_recorded
 
 FITTED, TOLD = ("intel", "fr079"), ("aces", "clinic")
 SHARES = (0.5, 0.9, 0.95)

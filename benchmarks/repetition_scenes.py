@@ -19,7 +19,7 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.log import Log
+from sixthsense.logs.log import Log
 
 Point = tuple[float, float]
 

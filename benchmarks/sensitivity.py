@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from sixthsense.campaigns.engine import Rows
 from sixthsense.config import preset
-from sixthsense.sources.replay_input import open_recorded
+from sixthsense.logs.replay_input import open_recorded
 
 HERE = Path(__file__).resolve()
 PACKAGE = HERE.parent.parent / "sixthsense"

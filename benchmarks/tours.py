@@ -15,9 +15,9 @@ from sixthsense.evaluation.matches import judge_matches
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.figures.run import Run
+from sixthsense.simulation.scene import load_scene
+from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.scene import load_scene
-from sixthsense.sources.world import World
 
 METRICS = {
     "outcome": "outcome", "collisions": "collisions", "nees": "pose_nees_world_mean", "nis": "nis_mean_per_dof",

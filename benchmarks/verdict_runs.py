@@ -28,10 +28,10 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.se2 import between
 from sixthsense.core.source import Command, Tick
+from sixthsense.logs.log import Log
+from sixthsense.logs.replay_input import ReplayInput, of_log, open_recorded
+from sixthsense.simulation.world import World
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.replay_input import ReplayInput, of_log, open_recorded
-from sixthsense.sources.world import World
 from sixthsense.verdict.witnesses import Witnesses
 
 PIECES = {

@@ -26,10 +26,10 @@ from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.logs.log import Log
 from sixthsense.slam.estimators import ESTIMATORS, Estimator, make_estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.slam.estimators.isam2_solver import solver_parameters
-from sixthsense.sources.logs.log import Log
 
 FILE = Path(gtsam.__file__).parent / "Data" / "victoria_park.txt"
 FLOOR = 1e-6  # m, rad; sigma that isam2 adds to every motion, so that an exact start is not singular

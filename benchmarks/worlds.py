@@ -22,8 +22,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import shortcut
+from sixthsense.simulation.scene import Scene, load_scene
 from sixthsense.slam.mapping.freespace import FreeSpace
-from sixthsense.sources.scene import Scene, load_scene
 
 _CELL_M = 0.05
 _MARGINS_M = (0.12, 0.08, 0.05)

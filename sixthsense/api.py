@@ -17,10 +17,10 @@ from sixthsense.running.runs import RunHooks, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
+    from sixthsense.logs.log import Log, Relations
+    from sixthsense.logs.replay_input import LogSelection, ReplayInput
     from sixthsense.loop.run import OnTick
     from sixthsense.slam.prior_map import PriorStart
-    from sixthsense.sources.logs.log import Log, Relations
-    from sixthsense.sources.replay_input import LogSelection, ReplayInput
 
 
 def run(
@@ -73,7 +73,7 @@ def run(
         cannot be written; a prior map that is damaged, or of another building.
 
     """
-    from sixthsense.sources.mission import mission_of
+    from sixthsense.simulation.mission import mission_of
 
     given = dict(fields)
     prior = _prior_start(prior_map, given)
@@ -131,7 +131,7 @@ def replay(
         One line each: what is not allowed for this kind of log, and what cannot be read, with file and line.
 
     """
-    from sixthsense.sources.replay_input import LogSelection
+    from sixthsense.logs.replay_input import LogSelection
 
     given = dict(fields)
     prior = _prior_start(prior_map, given)
@@ -184,8 +184,8 @@ def merge_runs(
 
     """
     from sixthsense.config import load_config
+    from sixthsense.logs.replay_input import LogSelection, check_options, check_out
     from sixthsense.running.merging import open_merged, replay_merged
-    from sixthsense.sources.replay_input import LogSelection, check_options, check_out
 
     first, second = path_of("first", first), path_of("second", second)
     check_options(first, fields, LogSelection())
@@ -218,8 +218,8 @@ def _opened(
     log: Log, config: Config | None, relations: str | Path | Relations | None, given: Mapping[str, Any]
 ) -> ReplayInput:
     """The input of a replay from a log that the caller has opened."""
-    from sixthsense.sources.logs.log import read_relations
-    from sixthsense.sources.replay_input import ReplayInput, of_log, relations_of
+    from sixthsense.logs.log import read_relations
+    from sixthsense.logs.replay_input import ReplayInput, of_log, relations_of
 
     if not hasattr(log, "ticks"):
         raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
@@ -241,7 +241,7 @@ def _open_with_config(
     out: str | Path | None,
 ) -> ReplayInput:
     """Open a log's file or folder with its configuration."""
-    from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
+    from sixthsense.logs.replay_input import base_of, check_options, check_out, open_recorded
 
     check_options(log, given, chosen)
     if config is not None and "preset" in given:

@@ -12,8 +12,8 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Tick
 from sixthsense.figures.run import Run
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.world import World
+from sixthsense.logs.log import Log
+from sixthsense.simulation.world import World
 
 _LINES = [
     (-0.4, -0.7, 9.8, -0.7), (9.8, -0.7, 9.8, 6.4), (9.8, 6.4, -0.4, 6.4), (-0.4, 6.4, -0.4, -0.7),

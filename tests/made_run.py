@@ -15,13 +15,13 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
+from sixthsense.logs.log import Relations
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.trace import Stopwatch, Trace
+from sixthsense.simulation.scene import Scene
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.sources.logs.log import Relations
-from sixthsense.sources.scene import Scene
 
 SCANS, FIRST_KEY, EVERY = 66, 2, 3
 UNDEFINED = 3

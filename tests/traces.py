@@ -12,16 +12,16 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
+from sixthsense.logs.log import Relations
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import STAGES, Trace
+from sixthsense.simulation.scene import Scene
+from sixthsense.simulation.walking_space import ScriptedWalk
 from sixthsense.slam.association.records import Association, MeanShape, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.sources.logs.log import Relations
-from sixthsense.sources.scene import Scene
-from sixthsense.sources.walking_space import ScriptedWalk
 
 CONFIG = preset(grid={"cell_m": 0.07}, laser={"mount": [0.21, -0.13, 0.4], "max_range": 7.3})
 RADIUS_M = 0.23

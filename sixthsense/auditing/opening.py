@@ -19,7 +19,7 @@ from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
-from sixthsense.sources.logs import is_run_folder, kind_of
+from sixthsense.logs import is_run_folder, kind_of
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -103,12 +103,12 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
     if kind_of(path) == "bag":
         if options.truth_topic.strip("/") == "tf" or (options.truth_frames and not options.truth_topic):
             return _of_transforms(path, options.truth_frames or estimate.frames)
-        from sixthsense.sources.logs.bag_file import read_poses
+        from sixthsense.logs.bag_file import read_poses
 
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
         return poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses)
-    from sixthsense.sources.logs.trajectories import read_trajectory
+    from sixthsense.logs.trajectories import read_trajectory
 
     notes: list[str] = []
     stamps, values = read_trajectory(_file(path), notes)
@@ -117,7 +117,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if kind_of(path) == "bag":
-        from sixthsense.sources.logs.bag_file import read_poses
+        from sixthsense.logs.bag_file import read_poses
 
         found = read_poses(path, topic)
         poses = poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
@@ -129,8 +129,8 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
             f"found nothing for {path}",
             "a file with a stamp and 6 or 21 numbers of the upper triangle in each line",
         )
-    from sixthsense.sources.logs.stamps import matched
-    from sixthsense.sources.logs.trajectories import read_covariances, read_trajectory
+    from sixthsense.logs.stamps import matched
+    from sixthsense.logs.trajectories import read_covariances, read_trajectory
 
     notes: list[str] = []
     stamps, values = read_trajectory(path, notes)
@@ -185,7 +185,7 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
     """The poses of a frame in another one, at the stamps of the link that is sent most often."""
     if not all(frames):
         raise InputError("truth_frames", "found none", "parent and child in /tf, such as map base_link")
-    from sixthsense.sources.logs.bag_file import read_transforms
+    from sixthsense.logs.bag_file import read_transforms
 
     links = [poses_from(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
     moving = [link for link in links if len(link) > 1]

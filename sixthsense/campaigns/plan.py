@@ -67,8 +67,8 @@ class CampaignPlan:
         Raises InputError for a name or field that is not allowed, for a scene, start or goal, and for a part that no
         worker can import.
         """
-        from sixthsense.sources.mission import mission, with_people
-        from sixthsense.sources.scene import load_scene
+        from sixthsense.simulation.mission import mission, with_people
+        from sixthsense.simulation.scene import load_scene
 
         bases = self.bases()
         found = []
@@ -157,7 +157,7 @@ def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> s
 
     `map_unknown` is what the unknown cells of a map_server map are.
     """
-    from sixthsense.sources.scene import load_scene
+    from sixthsense.simulation.scene import load_scene
 
     found = load_scene(scene, map_unknown)
     content = [found.walls.tolist(), found.glass.tolist(), found.solid_left, found.start, found.radius, found.goal]

@@ -13,7 +13,7 @@ from sixthsense.cli.options import Option, Options, arg, flag_of, options_of, pa
 from sixthsense.config import PRESETS
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.parts import KINDS
-from sixthsense.sources.scene_files import shipped_scenes
+from sixthsense.simulation.scene_files import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -32,7 +32,7 @@ class Scenes(Options):
         """List the shipped scenes, or draw one."""
         given, _ = parse(args, Scenes)
         options = Scenes(**given)
-        from sixthsense.sources.scene import load_scene
+        from sixthsense.simulation.scene import load_scene
 
         if options.scene is None:
             print(*(load_scene(name).summary() for name in shipped_scenes()), sep="\n")

@@ -75,10 +75,10 @@ class Live(OnNetwork, WithPriorMap):
         from sixthsense.api import with_task
         from sixthsense.live.robot import RESET
         from sixthsense.live.session import Session, Topics, check_drive
+        from sixthsense.logs.replay_input import WITHOUT_ODOMETRY
+        from sixthsense.logs.transforms import frame_pair
         from sixthsense.running.runs import RunHooks, run_live
         from sixthsense.running.warmup import prepare
-        from sixthsense.sources.logs.transforms import frame_pair
-        from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
 
         frames = frame_pair(options.odometry_frames.split(",") if options.odometry_frames else ())
         topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
@@ -153,7 +153,7 @@ class Simulate(OnNetwork, OfScene):
         from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
         from sixthsense.running.runs import RunHooks, simulate
         from sixthsense.running.warmup import prepare
-        from sixthsense.sources.mission import mission_of
+        from sixthsense.simulation.mission import mission_of
 
         drives_itself = bool({"task", "goal", "tour"} & set(flags))
         config, task = mission_of(with_task(config, flags))

@@ -42,7 +42,7 @@ class Run(WithPriorMap, OfScene):
         config = options.settings_of_scene(flags)
         from sixthsense.api import with_task
         from sixthsense.running.runs import RunHooks, simulate
-        from sixthsense.sources.mission import mission_of
+        from sixthsense.simulation.mission import mission_of
 
         prior = options.prior_start()
         config, task = mission_of(with_task(config, flags))
@@ -91,7 +91,7 @@ class Replay(WithPriorMap):
     @classmethod
     def main(cls, args: list[str]) -> int:
         """Replay a log."""
-        from sixthsense.sources.replay_input import LogSelection, base_of, check_options, check_out, open_recorded
+        from sixthsense.logs.replay_input import LogSelection, base_of, check_options, check_out, open_recorded
 
         options, flags = parse_command(Replay, args, base_of)
         given = options.topics, options.odometry_frames, options.units
@@ -169,7 +169,7 @@ class Merge(Common):
     @classmethod
     def main(cls, args: list[str]) -> int:
         """Merge two runs."""
-        from sixthsense.sources.replay_input import LogSelection, check_options, check_out
+        from sixthsense.logs.replay_input import LogSelection, check_options, check_out
 
         options, flags = parse_command(Merge, args, _base)
         first, second = options.runs
@@ -190,8 +190,8 @@ class Merge(Common):
 def _base(runs: tuple[str, ...] | None) -> str | Config:
     """The configuration of the first run; InputError for other than two, and for what is no folder of a run."""
     from sixthsense.config.files import instead_of
-    from sixthsense.sources.logs import is_run_folder
-    from sixthsense.sources.replay_input import base_of
+    from sixthsense.logs import is_run_folder
+    from sixthsense.logs.replay_input import base_of
 
     if runs is None or len(runs) != 2:
         raise InputError("runs", f"found {' '.join(runs or ()) or 'nothing'}", "the folders of two runs")

@@ -31,8 +31,8 @@ from sixthsense.evaluation.noise import (
     landmark_errors,
     propagation_errors,
 )
-from sixthsense.sources.scene import check_placement, load_scene
-from sixthsense.sources.world import World
+from sixthsense.simulation.scene import check_placement, load_scene
+from sixthsense.simulation.world import World
 
 PERIOD_S = 0.5  # duration of a sample, as in the report
 

@@ -16,7 +16,7 @@ from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
 from sixthsense.core.ray_casting import Beams, beams_of, cast_among, near_walls
 from sixthsense.core.se2 import Triple
-from sixthsense.sources.walking_space import mark_distances
+from sixthsense.simulation.walking_space import mark_distances
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace

@@ -17,7 +17,7 @@ from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import QUANTITIES, Metrics
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.record.trace import STAGES
-from sixthsense.sources.scene import Scene
+from sixthsense.simulation.scene import Scene
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace

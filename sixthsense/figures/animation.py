@@ -35,13 +35,13 @@ from sixthsense.figures.plot import (
     new_figure,
     walker_outlines,
 )
+from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.store import prior_start
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
 from sixthsense.slam.prior_map import PriorStart
-from sixthsense.sources.logs.runfolder import read_run
 
 SUFFIXES = (".mp4", ".webp", ".gif")
 """File formats of a film."""

@@ -11,7 +11,7 @@ from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array
 from sixthsense.figures.plot import draw_segments, label_plane, new_figure
-from sixthsense.sources.scene import Scene
+from sixthsense.simulation.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

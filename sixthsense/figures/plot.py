@@ -15,7 +15,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.exports import known_part
 from sixthsense.record.trace import Trace
-from sixthsense.sources.walking_space import BODY_M
+from sixthsense.simulation.walking_space import BODY_M
 
 if TYPE_CHECKING:
     from sixthsense.core.picture import Picture

@@ -13,9 +13,9 @@ from sixthsense.core.source import Tick, seconds
 from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
+from sixthsense.simulation.scene import Scene
 from sixthsense.slam.features import Features, extract
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.sources.scene import Scene
 
 
 @dataclass

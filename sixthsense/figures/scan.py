@@ -25,9 +25,9 @@ from sixthsense.figures.plot import (
     ellipse,
     label_plane,
 )
+from sixthsense.simulation.scene import Scene
 from sixthsense.slam.features import Features
 from sixthsense.slam.features.partition import Indices
-from sixthsense.sources.scene import Scene
 
 _RETURN = "#666666"
 _NORMAL_95 = 1.96  # sigmas

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from sixthsense.core.laser import Scan
-from sixthsense.sources.logs.clocks import LEAST_S, clock_offset_s
+from sixthsense.logs.clocks import LEAST_S, clock_offset_s
 
 _EVERY_NS = 5_000_000_000  # of scans, from one look to the next
 _WINDOW_NS = 30_000_000_000  # of messages that are looked at

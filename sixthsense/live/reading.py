@@ -14,9 +14,8 @@ from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
-from sixthsense.record.messages import WORLD, Messages
-from sixthsense.sources.logs.laser_geometry import FARTHEST_M
-from sixthsense.sources.logs.ros_messages import (
+from sixthsense.logs.laser_geometry import FARTHEST_M
+from sixthsense.logs.ros_messages import (
     LASER_SCAN,
     ODOMETRY,
     frame_name,
@@ -26,7 +25,8 @@ from sixthsense.sources.logs.ros_messages import (
     stamp_ns,
     transform,
 )
-from sixthsense.sources.logs.transforms import FramePair, TransformTree
+from sixthsense.logs.transforms import FramePair, TransformTree
+from sixthsense.record.messages import WORLD, Messages
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"

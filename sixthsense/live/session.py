@@ -30,6 +30,10 @@ from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReade
 from sixthsense.live.requests import Requests
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
+from sixthsense.logs.log import found_turns
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.logs.rosbag import described_laser
+from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.loop.run import OnTick, combined_hooks, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
@@ -37,10 +41,6 @@ from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
-from sixthsense.sources.logs.log import found_turns
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.sources.logs.rosbag import described_laser
-from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""

@@ -18,11 +18,11 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.record.exports import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.sources.mission import Mission
+from sixthsense.simulation.mission import Mission
 
 SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
 ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))

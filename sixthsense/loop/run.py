@@ -16,19 +16,19 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
+from sixthsense.logs.log import Log, Playback, Relations
+from sixthsense.logs.replay_input import recorded_scene
 from sixthsense.loop.own_parts import OwnParts
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Live, Stopwatch, Trace
+from sixthsense.simulation.mission import Mission, mission_of
+from sixthsense.simulation.scene import Scene
 from sixthsense.slam.prior_map import PriorStart, check_usable
 from sixthsense.slam.result import Step
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.log import Log, Playback, Relations
-from sixthsense.sources.mission import Mission, mission_of
-from sixthsense.sources.replay_input import recorded_scene
-from sixthsense.sources.scene import Scene
 from sixthsense.verdict.judge import judge
 
 OnTick = Callable[[Tick, Trace], None]

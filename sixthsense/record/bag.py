@@ -17,10 +17,10 @@ import numpy as np
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
+from sixthsense.logs.ros_messages import CLOUD
 from sixthsense.record.messages import LASER, ROBOT, MessageForm, Messages, pose_numbers
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import naming
-from sixthsense.sources.logs.ros_messages import CLOUD
 
 TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",

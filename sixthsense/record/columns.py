@@ -23,15 +23,15 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.sensor import SENSOR_PARAMETERS
 from sixthsense.core.wheels import PARAMETERS
+from sixthsense.logs.log import Relations
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.trace import STAGES
+from sixthsense.simulation.scene import Scene
+from sixthsense.simulation.walking_space import ScriptedWalk
 from sixthsense.slam.association.records import Association, MeanShape, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.sources.logs.log import Relations
-from sixthsense.sources.scene import Scene
-from sixthsense.sources.walking_space import ScriptedWalk
 
 FORMAT = 2
 POSE, SQUARES = "m, m, rad", "m², m rad, rad²"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.sources.logs.ros_messages import (
+from sixthsense.logs.ros_messages import (
     CLOUD,
     FIELDS,
     POINT_BYTES,

@@ -19,7 +19,9 @@ from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
+from sixthsense.logs.log import Relations
 from sixthsense.navigation.unseen_places import UnseenPlace
+from sixthsense.simulation.scene import Scene
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features
@@ -27,8 +29,6 @@ from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.result import Step
-from sixthsense.sources.logs.log import Relations
-from sixthsense.sources.scene import Scene
 from sixthsense.verdict.verdict import Verdict
 from sixthsense.verdict.witnesses import Witnesses
 

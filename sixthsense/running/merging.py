@@ -19,6 +19,8 @@ from sixthsense.config.files import absolute
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.figures.run import Run
+from sixthsense.logs.log import Log, read_relations
+from sixthsense.logs.replay_input import ReplayInput, open_recorded, relations_of
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import VERDICT_FILE, read_verdict
 from sixthsense.record.trace import Trace
@@ -26,8 +28,6 @@ from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.log import Log, read_relations
-from sixthsense.sources.replay_input import ReplayInput, open_recorded, relations_of
 from sixthsense.verdict.evidence import between_runs
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found

@@ -20,13 +20,13 @@ from sixthsense.running.progress import Bar, live_status, progress, seen_area
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.live.session import Session
+    from sixthsense.logs.replay_input import ReplayInput
     from sixthsense.loop.run import OnTick
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
+    from sixthsense.simulation.mission import Mission
+    from sixthsense.simulation.scene import Scene
     from sixthsense.slam.prior_map import PriorStart
-    from sixthsense.sources.mission import Mission
-    from sixthsense.sources.replay_input import ReplayInput
-    from sixthsense.sources.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def simulate(
     be written.
     """
     from sixthsense.loop import run as loop
-    from sixthsense.sources.mission import Mission, mission_of
+    from sixthsense.simulation.mission import Mission, mission_of
 
     task = scene
     if not isinstance(task, Mission):

@@ -32,6 +32,8 @@ from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.record.trace import Trace
+from sixthsense.simulation.scene import Scene
+from sixthsense.simulation.world import World
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
@@ -39,8 +41,6 @@ from sixthsense.slam.mapping.freespace import Ellipse
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.scene import Scene
-from sixthsense.sources.world import World
 
 WALLS = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2, 2], [-2, -2]]], dtype=np.float64)
 """of the room that the hot loops are compiled in"""

@@ -16,13 +16,13 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
+from sixthsense.simulation.world import World
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.features.extractor import features_fault
 from sixthsense.slam.front_end import Evidence, Finished, FrontEnd, FrontEndSetup
 from sixthsense.slam.motion_source import make_motion
-from sixthsense.sources.world import World
 from sixthsense.testing.laws import Laws
 
 EXTRACTOR_STATISTICS, EXTRACTOR_LAWS = Laws("statistics"), Laws()

@@ -12,7 +12,7 @@ from sixthsense.auditing.poses import poses_from
 from sixthsense.cli import main
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.metrics import nees_world
-from sixthsense.sources.logs.trajectories import read_trajectory
+from sixthsense.logs.trajectories import read_trajectory
 
 N = 400
 STAMPS_NS = 1_700_000_000_000_000_000 + 100_000_000 * np.arange(N)

@@ -10,7 +10,7 @@ from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import point_segment_distance, wrap_angle
 from sixthsense.evaluation.calibrate import PERIOD_S, Calibration, calibrate, drive_samples
 from sixthsense.running.warmup import warm_up
-from sixthsense.sources.scene import load_scene
+from sixthsense.simulation.scene import load_scene
 
 # Fewer ticks a second than usual, for speed.
 COARSE = {"robot": {"control_period_s": 0.05}, "laser": {"period_ticks": 2}}

@@ -7,7 +7,7 @@ import pytest
 from sixthsense.core.geometry import Array, point_segment_distance
 from sixthsense.core.ray_casting import beams_of
 from sixthsense.evaluation.coverage import VisibleArea, _mark, coverage, visible_area
-from sixthsense.sources.walking_space import mark_distances
+from sixthsense.simulation.walking_space import mark_distances
 
 CIRCLE = np.arange(360) * (2 * math.pi / 360)
 CENTRED = (0.0, 0.0, 0.0)

@@ -18,8 +18,8 @@ from sixthsense.evaluation.curves import curves, scan_covariances
 from sixthsense.evaluation.effective import effective_number, whitened_errors
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.measured_run import MeasuredRun
+from sixthsense.logs.log import Relations
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.log import Relations
 
 TRACE = made_run()
 KEYS = len(TRACE.key_stamps_ns)

@@ -33,10 +33,10 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
+from sixthsense.simulation.scene import load_scene
 from sixthsense.slam import motion_source
 from sixthsense.slam.features import Features, extraction
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.scene import load_scene
 
 SCENES = ("apartment", "office")
 SECONDS = 20.0

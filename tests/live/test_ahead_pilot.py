@@ -14,8 +14,8 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
+from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.world import World
 
 CONFIG = preset(seed=2)
 HALL = np.array(

@@ -8,13 +8,13 @@ from driven import config, mirrored, ticks
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.live.diagnostics import LEVELS, diagnostics
+from sixthsense.logs.log import Log
+from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.loop.run import replay
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import TURN_RATE, Pilot
 from sixthsense.record.messages import DIAGNOSTICS, Messages
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.ros_messages import stamp_ns
 
 LATE_NS = 1_700_000_000_000_000_000
 

@@ -17,9 +17,9 @@ from processes import start, wait_until
 
 import sixthsense as ss
 from sixthsense.cli import main
+from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.record.folder import has_record, reason_not_a_run
 from sixthsense.running.warmup import warm_up, warm_up_scans
-from sixthsense.sources.logs.ros_messages import stamp_ns
 
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 

@@ -21,8 +21,8 @@ from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageRea
 from sixthsense.live.session import Session, Topics, check_one_publisher, command_type
 from sixthsense.live.simulated import ODOM, SCAN, check_alone, cmd_vel
 from sixthsense.live.topics import SENSOR, dds_type
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789

@@ -9,8 +9,8 @@ import sixthsense as ss
 from sixthsense.core.source import Command
 from sixthsense.live.publishing import Commands, Stamped, pose_covariance
 from sixthsense.live.reading import TWIST_STAMPED, MessageReader
+from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.ros_messages import stamp_ns
 
 
 def test_before_the_first_keyframe_nothing_is_known():

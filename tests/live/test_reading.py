@@ -21,9 +21,9 @@ from sixthsense.live.reading import (
     Notices,
 )
 from sixthsense.live.requests import PAUSE, RESET, SET_POSE, Pause, Reset, read_request
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789

@@ -18,15 +18,15 @@ from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.requests import Pause, Request, Reset, SetPose
 from sixthsense.live.robot import LiveRobot, Steering, placed
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
+from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.sources.world import World
 
 MS = 1_000_000
 BEGAN = 1_700_000_000_000 * MS

@@ -19,10 +19,10 @@ from sixthsense.live.joining import ScanJoiner
 from sixthsense.live.publishing import POSE, TF, publisher
 from sixthsense.live.reading import TRANSFORMS, LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
+from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
-from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 MAKE = Messages()
 MS, HOUR = 1_000_000, 3_600_000_000_000

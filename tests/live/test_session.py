@@ -23,12 +23,12 @@ from sixthsense.live.reading import TRANSFORMS, TWIST_STAMPED, MessageReader
 from sixthsense.live.session import Session, Topics, check_drive
 from sixthsense.live.simulated import Disturbance, SimulatedRobot, check_alone, cmd_vel, drive_by_commands
 from sixthsense.live.topics import SENSOR
+from sixthsense.logs.ros_messages import stamp_ns
+from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_messages import stamp_ns
-from sixthsense.sources.logs.transforms import FramePair, TransformTree
-from sixthsense.sources.mission import Mission
-from sixthsense.sources.scene import load_scene
-from sixthsense.sources.world import World
+from sixthsense.simulation.mission import Mission
+from sixthsense.simulation.scene import load_scene
+from sixthsense.simulation.world import World
 
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 

@@ -6,7 +6,7 @@ import pytest
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.running.runs import QUIET, simulate
-from sixthsense.sources.scene import Scene
+from sixthsense.simulation.scene import Scene
 
 WAY_PER_WALL = 1.0
 """A robot that goes along every wall once drives their length. A tour through the rooms drives less, .6 of it in these

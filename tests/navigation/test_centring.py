@@ -9,9 +9,9 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.centring import centred
 from sixthsense.running.runs import QUIET, simulate
+from sixthsense.simulation.scene import Scene
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.sources.scene import Scene
 
 CELL_M, RADIUS_M = 0.05, 0.2
 

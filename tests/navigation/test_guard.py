@@ -20,8 +20,8 @@ from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.record.trace import Trace
-from sixthsense.sources.scene import Scene
-from sixthsense.sources.world import World
+from sixthsense.simulation.scene import Scene
+from sixthsense.simulation.world import World
 
 CONFIG = Config()
 RADIUS = 0.2

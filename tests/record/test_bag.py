@@ -8,11 +8,11 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
+from sixthsense.logs.log import Log
+from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay, run
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.runfolder import read_run
 
 CONFIG = preset(task="tour", scene="rectangle", max_time=12.0, laser={"mount": [0.1, -0.05, 0.3], "max_range": 7.3})
 SCAN = Scan.from_config(np.linspace(1.5, 4.5, CONFIG.laser.beams), CONFIG.laser)

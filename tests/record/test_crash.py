@@ -16,9 +16,9 @@ from sixthsense import cli
 from sixthsense.config import preset
 from sixthsense.figures.plot import save_map
 from sixthsense.figures.run import load
+from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay, run
 from sixthsense.record import bag, exports
-from sixthsense.sources.logs.runfolder import read_run
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -9,10 +9,10 @@ import pytest
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.se2 import between
+from sixthsense.logs import open_log
 from sixthsense.loop.run import replay, run
 from sixthsense.record.exports import FactorGraph, factor_graph, links_of, write_graph
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs import open_log
 
 KEEP = {"cull_below": 0}  # a culled landmark's observations are in the solver's past, and not in the graph
 

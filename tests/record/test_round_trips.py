@@ -26,13 +26,13 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan, sweep_times
 from sixthsense.core.source import Closure, Tick
+from sixthsense.logs.runfolder import read_run
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.columns import END, Column
 from sixthsense.record.messages import Messages
 from sixthsense.record.store import load_record
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
-from sixthsense.sources.logs.runfolder import read_run
 
 NOT_KEPT = {"config", "live", "tours", "grid", "name", "prior_map"}
 """fields of a trace that the record does not have, or that are compared below"""

@@ -11,8 +11,8 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
+from sixthsense.simulation.world import World
 from sixthsense.slam.front_end import is_due
-from sixthsense.sources.world import World
 
 ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
 ORIGIN = Pose()

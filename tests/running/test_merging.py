@@ -17,11 +17,11 @@ from sixthsense.config.errors import InputError
 from sixthsense.core import interrupt
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
+from sixthsense.logs.log import Log
+from sixthsense.logs.replay_input import ReplayInput, open_recorded
 from sixthsense.record.folder import RunFolder
 from sixthsense.running.merging import Merged, _going_on, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.replay_input import ReplayInput, open_recorded
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 

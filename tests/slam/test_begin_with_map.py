@@ -14,8 +14,8 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_prior_map
+from sixthsense.simulation.scene import load_scene
 from sixthsense.slam.prior_map import PriorStart
-from sixthsense.sources.scene import load_scene
 
 SECONDS = 20.0
 ROOM = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [3.0, 4.0], [3.0, 3.0], [0.0, 3.0]])

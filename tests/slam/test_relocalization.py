@@ -12,13 +12,13 @@ from sixthsense.config import Config, GridConfig, LaserConfig, ScansConfig, pres
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
+from sixthsense.logs.log import Playback
 from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_prior_map
+from sixthsense.simulation.scene import load_scene
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.slam.relocalization import Relocalizer
-from sixthsense.sources.logs.log import Playback
-from sixthsense.sources.scene import load_scene
 
 LASER, GRID = LaserConfig(max_range=6.0), GridConfig()
 

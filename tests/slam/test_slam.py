@@ -10,10 +10,10 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
+from sixthsense.simulation.scene import load_scene
+from sixthsense.simulation.world import World
 from sixthsense.slam.result import SlamResult
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.scene import load_scene
-from sixthsense.sources.world import World
 
 ESTIMATORS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2"]
 START = Pose(1.0, 1.0, 0.3)

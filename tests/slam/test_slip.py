@@ -10,9 +10,9 @@ import sixthsense as ss
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Command, Tick
+from sixthsense.simulation.scene import load_scene
+from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.scene import load_scene
-from sixthsense.sources.world import World
 
 
 def pushed_ticks(config: ss.Config, at: int, push: Pose, seconds: float) -> list[Tick]:

@@ -10,7 +10,7 @@ from driven import config, kidnapped, mirrored, mount_left, replayed, ticks
 import sixthsense as ss
 from sixthsense.config.errors import InputError
 from sixthsense.figures.run import Run
-from sixthsense.sources.logs.log import Log
+from sixthsense.logs.log import Log
 
 
 @pytest.fixture(scope="module")

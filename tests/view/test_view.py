@@ -17,8 +17,8 @@ from driven import mirrored
 import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.config import preset
+from sixthsense.logs.log import Log
 from sixthsense.loop.run import run
-from sixthsense.sources.logs.log import Log
 
 pytest.importorskip("rerun")
 

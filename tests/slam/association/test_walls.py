@@ -14,13 +14,13 @@ from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
+from sixthsense.simulation.scene import load_scene
 from sixthsense.slam.association import associator as associator_module
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.observed import ends, fused
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
 from sixthsense.slam.estimators.isam2_factors import lines, measurement
 from sixthsense.slam.features import extract
-from sixthsense.sources.scene import load_scene
 from sixthsense.testing.estimation import joint_state
 from sixthsense.testing.sight import predict_walls
 

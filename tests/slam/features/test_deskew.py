@@ -13,15 +13,15 @@ from sixthsense.core.motion import STANDSTILL, Odometry, odometry
 from sixthsense.core.source import Command
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_world
+from sixthsense.logs.rosbag import read_bag
+from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay, run
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
+from sixthsense.simulation.world import World
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.sources.logs.rosbag import read_bag
-from sixthsense.sources.logs.runfolder import read_run
-from sixthsense.sources.world import World
 
 ROOM = box(-2, -2, 4, 4)
 SWEPT = preset("noiseless", laser={"sweep_s": 0.1, "mount": (0.1, -0.05, 0.3)})

@@ -1,0 +1,119 @@
+"""Recorded logs: each reader returns a `Log`, whose ticks drive the same loop as the simulated world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from sixthsense.config.errors import InputError
+
+if TYPE_CHECKING:
+    from sixthsense.config import AssumedConfig, LaserConfig
+    from sixthsense.logs.log import Log
+
+_CARMEN = (".log", ".clf", ".carmen")
+_COMPRESSED = (".gz", ".bz2", ".xz", ".zip")
+_BAGS = (".bag", ".mcap", ".db3")
+_GRAPHS = (".graph", ".g2o", ".toro")
+_MRCLAM = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
+
+
+def open_log(
+    file: str | Path,
+    laser: LaserConfig | None = None,
+    topics: Sequence[str] = (),
+    robot: int | None = None,
+    assumed: AssumedConfig | None = None,
+    odometry_frames: Sequence[str] = (),
+    odometry: bool = True,
+    units: Sequence[str] = (),
+) -> Log:
+    """Open a log, a file or a folder, with the reader of its kind, recognised by its name, or else by how it begins.
+
+    The log says what its laser is. Fields of `laser` that were stated take precedence, such as that of
+    `ss.LaserConfig(max_range=8.0)`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames`
+    the parent and the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot
+    of a MRCLAM folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam.
+    `units` says which units a bag or a CARMEN log has, such as `ranges=mm`. Raises InputError for an unknown kind, with
+    the known ones, and for a file that the reader cannot read.
+    """
+    from sixthsense.config import LaserConfig
+    from sixthsense.logs.units import units_of
+
+    path, own_units = Path(file), units_of(units)
+    kind = kind_of(path)
+    if kind == "carmen":
+        from sixthsense.logs.carmen import read_carmen
+
+        return read_carmen(path, laser, own_units)
+    if kind == "graph":
+        from sixthsense.logs.graph import read_graph
+
+        return read_graph(path)
+    if not path.exists():
+        raise InputError(path, "no such file")
+    if kind == "run":
+        from sixthsense.logs.runfolder import read_run
+
+        return read_run(path, laser or LaserConfig())
+    if kind == "bag":
+        from sixthsense.logs.rosbag import How, read_bag
+        from sixthsense.logs.transforms import frame_pair
+
+        states_mount = laser is not None and "mount" in laser.explicit_fields
+        how = How(topics, frame_pair(odometry_frames), odometry, states_mount, own_units)
+        return read_bag(path, laser or LaserConfig(), how)
+    if kind == "mrclam":
+        from sixthsense.config import preset
+        from sixthsense.logs.mrclam import read_mrclam
+
+        return read_mrclam(path, assumed or preset("mrclam").assumed, robot)
+    compressed = f"also with {' or '.join(_COMPRESSED)}"
+    kinds = (
+        f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}), "
+        f"ROS bag ({', '.join(_BAGS)}, or a folder of them), folder of a run, folder of MRCLAM"
+    )
+    raise InputError(path, "found no known kind of log", kinds)
+
+
+def _suffix(path: Path) -> str:
+    """The last suffix, in lower case, without that of a compression."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes and suffixes[-1] in _COMPRESSED:
+        suffixes.pop()
+    return suffixes[-1] if suffixes else ""
+
+
+def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""]:
+    """How a log is read, by its name or what is in the folder; "" if that is not known."""
+    from sixthsense.logs.bag_forms import bag_files, suffix_of
+
+    if not path.is_dir():
+        if suffix_of(path):
+            return "bag"
+        if _suffix(path) in _CARMEN:
+            return "carmen"
+        if _suffix(path) in _GRAPHS:
+            return "graph"
+        return "bag" if path.suffix.lower() in _BAGS else _kind_of_text(path)
+    if is_run_folder(path):
+        return "run"
+    if (path / "metadata.yaml").is_file() or bag_files(path):
+        return "bag"
+    return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
+
+
+def _kind_of_text(path: Path) -> Literal["carmen", "graph", ""]:
+    """The kind of a text of another name, by its first word."""
+    from sixthsense.logs.carmen import MESSAGES
+    from sixthsense.logs.graph import TAGS
+    from sixthsense.logs.text_lines import first_word
+
+    word = first_word(path)
+    return "graph" if word in TAGS else "carmen" if word in MESSAGES else ""
+
+
+def is_run_folder(path: Path) -> bool:
+    """Whether a path is a run folder, finished or not."""
+    return (path / "config.toml").is_file()

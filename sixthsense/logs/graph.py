@@ -1,0 +1,250 @@
+"""Graphs of poses and landmarks in the text formats of GTSAM, TORO and g2o, replayed pose by pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
+from sixthsense.core.source import Closure, Tick
+from sixthsense.logs.log import Log
+from sixthsense.logs.text_lines import Record, records, shown
+
+_STEP_NS = 1_000_000_000
+_FARTHEST = 1e6
+_LARGEST_ENTRY = 1e12
+"""largest entry of a covariance or information matrix"""
+_SLACK = 1e-12
+"""tolerance of an eigenvalue for rounding, relative to the largest entry"""
+
+# Rows and columns of the numbers of the upper triangle in the matrix, in the order of the file.
+_BY_ROWS, _PLANE = np.triu_indices(3), np.triu_indices(2)
+_TORO = tuple(np.array(index)[[0, 1, 3, 5, 2, 4]] for index in _BY_ROWS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """Format of the covariance of an edge."""
+
+    order: tuple[NDArray[np.int64], ...]
+    """rows and columns of the numbers in the matrix"""
+    is_information: bool
+    """whether the numbers are an information matrix, else a covariance"""
+
+
+_MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE2": _Form(_TORO, True), b"EDGE_SE2": _Form(_BY_ROWS, True)}
+_POINTS = {b"LANDMARK": _Form(_PLANE, False), b"EDGE_SE2_XY": _Form(_PLANE, True)}
+_POSES = (b"VERTEX2", b"VERTEX_SE2")
+TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
+
+
+def read_graph(file: str | Path) -> Log:
+    """Read a graph of consecutive poses and of landmarks seen from them; plain, gzip or bzip2.
+
+    A line is a tag and numbers; metres, radians. Edges between poses lead from pose i to j. One from the newest pose to
+    a new one is the robot's way there, any other one a loop closure between poses of the file:
+
+        ODOMETRY i j x y theta  xx xy xt yy yt tt     GTSAM: the upper triangle of the COVARIANCE, by rows
+        EDGE_SE2 i j x y theta  xx xy xt yy yt tt     g2o: the upper triangle of the INFORMATION, by rows
+        EDGE2    i j x y theta  xx xy yy tt xt yt     TORO: of the INFORMATION, in TORO's own order
+
+    (x y theta) is pose j seen from pose i, and its error has the axes of j, as GTSAM and g2o define it. Landmarks:
+
+        LANDMARK    i l x y  xx xy yy                 GTSAM: landmark l seen from pose i; COVARIANCE of x, y
+        EDGE_SE2_XY i l x y  xx xy yy                 g2o: the same with INFORMATION
+        BR          i l bearing range  s_b s_r        GTSAM: with two sigmas, rad and m
+
+    Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are skipped. Poses and landmarks share one
+    space of ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
+    observations; odometry begins at zero. Raises InputError, naming file and line, for any other tag; an edge of a pose
+    that no way leads to; a landmark that is seen before its pose, or twice from one
+    pose, or has the id of a pose; an invalid number; an invalid covariance.
+
+    In GTSAM's `victoria_park.txt` the six and three numbers are covariances, as GTSAM's load2D reads them (sigmas of
+    0.01 m, 0.002 m, 0.002 rad, and of 0.63 m). As information, 0.0001 would be an error of 100 m on a step of some
+    centimetres. The reduced copy of this graph in GTSAM has 100, 500, 500 and 1.581, the square roots of the
+    information of these covariances. load2D converts a LANDMARK to bearing and range, with the sigma of the bearing as
+    if it were 10 m away; here x and y keep the covariance of the file. Ids there number poses and landmarks in the
+    order of their first appearance.
+    """
+    path = Path(file)
+    graph = _Graph()
+    for record in records(path):
+        tag = record.fields[0]
+        if tag not in TAGS:
+            record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in TAGS)}")
+        _READERS[tag](graph, record)
+    if len(graph.ticks) < 2:
+        raise InputError(path, "found no edge between poses", f"a graph with {b', '.join(_MOTIONS).decode()}")
+    _add_closures(graph)
+    return Log(list(graph.ticks.values()))
+
+
+class _Edge(NamedTuple):
+    """An edge between two poses."""
+
+    record: Record
+    before: int
+    after: int
+    step: Pose
+    """pose `after` seen from `before`"""
+    cov: Array
+    """(3, 3) of its error, axes of `after`"""
+
+
+@dataclass(slots=True)
+class _Graph:
+    """The part of the graph read so far."""
+
+    ticks: dict[int, Tick] = field(default_factory=dict)
+    """of the poses, by id, in order"""
+    seen: dict[int, dict[LandmarkId, Observation]] = field(default_factory=dict)
+    """by pose, as in its tick"""
+    kinds: dict[int, str] = field(default_factory=dict)
+    """pose or landmark, by id"""
+    others: list[_Edge] = field(default_factory=list)
+    """edges that do not lead from the newest pose to a new one"""
+    guessed: dict[int, str] = field(default_factory=dict)
+    """the same of those with an initial value"""
+
+    def add(self, pose: int, odometry: Pose, cov: Array | None = None) -> None:
+        """Add a pose without observations."""
+        seen = self.seen[pose] = {}
+        self.ticks[pose] = Tick(len(self.ticks) * _STEP_NS, odometry, observations=seen, increment_cov=cov)
+
+    def check_kind(self, record: Record, vertex: int, kind: str) -> None:
+        """Fail for a pose with the id of a landmark, and the other way round."""
+        other = "landmark" if kind == "pose" else "pose"
+        if self.kinds.setdefault(vertex, kind) == other:
+            record.fail(f"found {kind} {vertex}, allowed: an id that no {other} has")
+
+
+def _read_motion(graph: _Graph, record: Record) -> None:
+    form = _MOTIONS[record.fields[0]]
+    before, after = _ids(record, 5 + len(form.order[0]))
+    motion = _bounded(record, record.numbers(record.fields[3:6]))
+    cov = _covariance(record, form, record.fields[6:], definite=False)
+    for pose in (before, after):
+        graph.check_kind(record, pose, "pose")
+    if not graph.ticks:
+        graph.add(before, Pose())
+    step = Pose.from_array(motion)
+    if after in graph.ticks or before != next(reversed(graph.ticks)):
+        graph.others.append(_Edge(record, before, after, step, cov))
+        return
+    graph.add(after, graph.ticks[before].odometry @ step, _in_axes_before(step, cov))
+
+
+def _in_axes_before(step: Pose, cov: Array) -> Array:
+    """The covariance of a motion from pose i to j, whose error has the axes of j, in those of i."""
+    R_i_j = Pose(theta=step.theta).adjoint()
+    return _symmetric(R_i_j @ cov @ R_i_j.T)
+
+
+def _add_closures(graph: _Graph) -> None:
+    """Add the edges between poses that are not next to each other to the tick of the later one."""
+    order = {pose: number for number, pose in enumerate(graph.ticks)}
+    found: dict[int, list[Closure]] = {}
+    for record, before, after, step, cov in graph.others:
+        if before not in order or after not in order:
+            newest = next(reversed(graph.ticks))
+            record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
+        if before == after:
+            record.fail(f"found an edge from pose {before} to itself, allowed: two poses")
+        if order[before] < order[after]:
+            found.setdefault(after, []).append(Closure(order[before], step, _in_axes_before(step, cov)))
+        else:  # the error of j seen from i turns and moves i seen from j
+            back = step.inverse()
+            J = np.array([[-1.0, 0.0, back.y], [0.0, -1.0, -back.x], [0.0, 0.0, -1.0]])
+            found.setdefault(before, []).append(Closure(order[after], back, _symmetric(J @ cov @ J.T)))
+    for pose, tick in graph.ticks.items() if found else ():
+        graph.ticks[pose] = replace(tick, closures=tuple(found.get(pose, ())))
+
+
+def _read_landmark(graph: _Graph, record: Record) -> None:
+    tag = record.fields[0]
+    form = _POINTS.get(tag)
+    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order[0]))
+    first, second = _bounded(record, record.numbers(record.fields[3:5])).tolist()
+    if form is None:
+        sigmas = record.numbers(record.fields[5:7])
+        if not (np.all(sigmas > 1e-9) and second > 0.0):
+            record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
+        _bounded(record, sigmas)
+        observation = polar_observation(second, first, (float(sigmas[1]) ** 2, float(sigmas[0]) ** 2))
+    else:
+        cov = _covariance(record, form, record.fields[5:], definite=True)
+        observation = Observation(Kind.CORNER, np.array([first, second]), cov)
+    graph.check_kind(record, landmark, "landmark")
+    if not graph.ticks and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
+        graph.add(pose, Pose())
+    if pose not in graph.ticks:
+        record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
+    seen = graph.seen[pose]
+    if landmark in seen:
+        record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
+    seen[landmark] = observation
+
+
+def _read_vertex(graph: _Graph, record: Record) -> None:
+    kind = "pose" if record.fields[0] in _POSES else "landmark"
+    _expect(record, 4 if kind == "pose" else 3)
+    vertex = record.whole(1, "id")
+    record.numbers(record.fields[2:])
+    if graph.guessed.get(vertex) == kind:
+        record.fail(f"found {kind} {vertex} again, allowed: a new one")
+    graph.check_kind(record, vertex, kind)
+    graph.guessed[vertex] = kind
+
+
+_READERS: dict[bytes, Callable[[_Graph, Record], None]] = {
+    **dict.fromkeys(_MOTIONS, _read_motion),
+    **dict.fromkeys((*_POINTS, b"BR"), _read_landmark),
+    **dict.fromkeys((*_POSES, b"VERTEX_XY"), _read_vertex),
+}
+
+
+def _expect(record: Record, count: int) -> None:
+    """Fail unless the line has a tag and `count` numbers."""
+    if len(record.fields) != count + 1:
+        tag = record.fields[0].decode()
+        record.fail(f"found {tag} with {len(record.fields) - 1} numbers, allowed: {count}")
+
+
+def _ids(record: Record, count: int) -> tuple[int, int]:
+    _expect(record, count)
+    return record.whole(1, "id"), record.whole(2, "id")
+
+
+def _bounded(record: Record, values: Array) -> Array:
+    if np.abs(values).max() > _FARTHEST:
+        record.fail(f"found {values[np.abs(values).argmax()]:g}, allowed: up to {_FARTHEST:g} either way")
+    return values
+
+
+def _covariance(record: Record, form: _Form, fields: list[bytes], definite: bool) -> Array:
+    """(n, n) covariance; all its eigenvalues are positive if `definite`, as those of an information matrix must be."""
+    values = record.numbers(fields)
+    rows, columns = form.order
+    matrix = np.zeros((1 + rows.max(), 1 + rows.max()))
+    matrix[rows, columns] = matrix[columns, rows] = values
+    definite = definite or form.is_information
+    largest = float(np.abs(matrix).max())
+    fits = 1.0 / _LARGEST_ENTRY <= largest <= _LARGEST_ENTRY if definite else largest <= _LARGEST_ENTRY
+    if not fits or np.linalg.eigvalsh(matrix)[0] < (_SLACK if definite else -_SLACK) * largest:
+        kind = "an information matrix" if form.is_information else "a covariance"
+        found = b" ".join(fields)[:80].decode("ascii", "backslashreplace")
+        bounds = f"eigenvalues {'above' if definite else 'at least'} 0, entries up to {_LARGEST_ENTRY:g}"
+        record.fail(f"found {found}, allowed: {kind} with {bounds}")
+    return _symmetric(np.asarray(np.linalg.inv(matrix), dtype=np.float64)) if form.is_information else matrix
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,214 @@
+"""Input of a replay: an opened log with its configuration and relations, and checks of the options for its kind."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from sixthsense.config import Config, load_config, merge
+from sixthsense.config.errors import InputError
+from sixthsense.config.files import absolute
+from sixthsense.config.parts import OF_THE_ROBOT
+from sixthsense.logs import kind_of
+from sixthsense.simulation.scene import Scene, load_scene
+
+if TYPE_CHECKING:
+    from sixthsense.logs.log import Log, Relations
+
+
+_LEAST_PERIOD_NS = 1000.0  # of scans: no laser is as fast
+_ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
+
+WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
+"""note of a log, and line of a live run"""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayInput:
+    """An opened log with everything its replay needs."""
+
+    name: str
+    """name of the file or folder"""
+    log: Log
+    """the log, before its first tick"""
+    config: Config
+    """configuration, with the laser described by the log if it has one"""
+    relations: Relations | None
+    """reference for the trajectory"""
+    files: Mapping[str, str]
+    """inputs by role: `log`, and if given `relations`, `topic`, `odometry_frames`, `units` and `robot`"""
+    notes: tuple[str, ...]
+    """one-line remarks on the log for the user"""
+
+
+def recorded_scene(log: Log, config: Config) -> Scene | None:
+    """The scene of a recorded simulated run; None for a log without truth, and where the scene's file is gone."""
+    if log.ticks[0].truth is None or not log.scans:
+        return None
+    try:
+        return load_scene(config.scene, config.map_unknown)
+    except InputError:
+        return None  # the record outlives the file
+
+
+def base_of(log: str | Path | None) -> str | Config:
+    """The base configuration for a log: that of the run folder, else the preset of its kind."""
+    if log is None:
+        return "log"
+    kind = kind_of(Path(log))
+    if kind == "run":
+        return load_config(Path(log) / "config.toml")
+    return {"graph": "victoria", "mrclam": "mrclam"}.get(kind, "log")
+
+
+class LogSelection(NamedTuple):
+    """What is chosen of a log of several sensors or robots."""
+
+    topics: Sequence[str] = ()
+    """of a bag"""
+    robot: int | None = None
+    """of an MRCLAM folder"""
+    odometry_frames: Sequence[str] = ()
+    """parent and child of a bag's odometry in /tf"""
+    units: Sequence[str] = ()
+    """of a bag or a CARMEN log that has others than metres and radians, such as `ranges=mm`"""
+
+
+def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: LogSelection) -> None:
+    """Raise InputError for given fields (nested) and options that do not apply to this kind of log."""
+    robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
+    for name in (*OF_THE_ROBOT, *sorted(robot)):
+        if name in fields or name in robot:
+            allowed = "options of the estimate, not of the recorded robot"
+            raise InputError(name, "found on replay", allowed)
+    if log is None:
+        return
+    kind = kind_of(Path(log))
+    refused: list[tuple[str, str, str]] = []
+    if kind != "bag":
+        given = (("topics", chosen.topics), ("odometry_frames", chosen.odometry_frames))
+        refused += [(name, "a log that is not a ROS bag", "on a bag") for name, value in given if value]
+    if kind not in ("bag", "carmen") and chosen.units:
+        refused.append(("units", "a log that is not a ROS bag or a CARMEN log", "on one of these"))
+    if kind == "run" and "preset" in fields:
+        refused.append(("preset", "a run folder", "single fields over its config.toml"))
+    if kind in ("run", "bag"):
+        where, taken = "a bag, which describes its laser", ("mount",) if kind == "run" else ("mount", "mirrored")
+        allowed = " and ".join(f"`laser.{name}`" for name in taken)
+        refused += [(f"laser.{name}", where, allowed) for name in fields.get("laser", {}) if name not in taken]
+    if kind != "mrclam" and chosen.robot is not None:
+        refused.append(("robot", "a log that is not a MRCLAM folder", "on a MRCLAM folder"))
+    if kind in ("graph", "mrclam"):
+        where, scans = "a log that {}", "on a log of scans"
+        if fields.get("no_odometry"):
+            refused.append(("no_odometry", where.format("has landmarks and no scans"), scans))
+        for section in ("laser", "keyframes", "features", "grid", *(["assumed"] if kind == "graph" else [])):
+            has = "contains its own noise" if section == "assumed" else "has landmarks and no scans"
+            refused += [(f"{section}.{name}", where.format(has), scans) for name in fields.get(section, {})]
+    for name, where, allowed in refused:
+        raise InputError(name, f"found on {where}", allowed)
+
+
+def check_out(log: str | Path, out: Path | None) -> None:
+    """Raise InputError for an output folder that would overwrite the log."""
+    if out is not None:
+        partial = absolute(out.with_name((out.name or "run") + ".partial"))
+        path = absolute(log)
+        if partial in (path, *path.parents):
+            raise InputError("out", f"found {out}, whose .partial is the log itself", "another folder")
+
+
+def open_recorded(
+    log: str | Path,
+    config: Config,
+    relations: str | Path | Relations | None = None,
+    chosen: LogSelection | None = None,
+) -> ReplayInput:
+    """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
+
+    Fields of `config.laser` that were stated take precedence over the log. Raises InputError for an invalid file, and
+    for relations none of which has stamps of scans.
+    """
+    from sixthsense.logs import open_log
+    from sixthsense.logs.log import read_relations
+
+    files = {"log": str(absolute(log))}
+    chosen = chosen or LogSelection()
+    topics, robot, frames, units = chosen
+    if topics:
+        files["topics"] = ",".join(topics)
+    if frames:
+        files["odometry_frames"] = ",".join(frames)
+    if units:
+        files["units"] = ",".join(units)
+    if robot is not None:
+        files["robot"] = str(robot)
+    from_file = isinstance(relations, (str, Path))
+    if isinstance(relations, (str, Path)):
+        files["relations"] = str(absolute(relations))
+        given: Relations | None = read_relations(relations)
+    else:
+        given = relations
+    uses_odometry = not config.no_odometry
+    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, uses_odometry, units)
+    notes: list[str] = []
+    if given is not None:
+        given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
+    notes += opened.remarks()
+    config = of_log(config, opened)
+    if closures := sum(len(tick.closures or ()) for tick in opened.ticks):
+        left = f"left out: {config.estimator} keeps no poses, isam2 does"
+        used = "used" if config.estimator == "isam2" else left
+        notes.append(f"{closures} edges between earlier poses are loop closures, and are {used}")
+    if config.no_odometry:
+        _check_time(log, opened)
+        notes.append(WITHOUT_ODOMETRY)
+    return ReplayInput(absolute(log).name, opened, config, given, files, tuple(notes))
+
+
+def _check_time(path: str | Path, log: Log) -> None:
+    """Raise InputError for scans whose stamps do not say how fast the robot moves, which has nothing else to say it."""
+    import numpy as np
+
+    stamps = [tick.stamp_ns for tick in log.ticks if tick.scan is not None]
+    if len(stamps) > 1 and float(np.median(np.diff(stamps))) < _LEAST_PERIOD_NS:
+        raise InputError(path, "found scans whose stamps tell no time", "without odometry, stamps that do")
+
+
+def of_log(config: Config, log: Log) -> Config:
+    """The configuration with the laser as the log describes it, if it does, and without odometry if it has none."""
+    if not log.has_odometry:
+        config = merge(config, {"no_odometry": True})
+    return config if log.laser is None else dataclasses.replace(config, laser=log.laser)
+
+
+def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) -> Relations:
+    """The relations between scans of a log, with the stamps of these; how many there are is said in `notes`.
+
+    The scan of a stamp is the nearest within half a period. Raises InputError where no relation is left.
+    """
+    import numpy as np
+
+    from sixthsense.logs.log import Relations
+    from sixthsense.logs.stamps import matched
+
+    stamps = np.array([t.log_stamp_s for t in log.ticks if t.log_stamp_s is not None], dtype=np.float64)
+    rows = matched(stamps, relations.stamps)
+    known = (rows >= 0).all(axis=1) & ((rows[:, 0] != rows[:, 1]) | (relations.stamps[:, 0] == relations.stamps[:, 1]))
+    if not known.any():
+        first = relations.stamps[0, 0]
+        raise InputError(
+            name,
+            f"found no relation between scans of the log (the first is of {first:.6f})",
+            "stamps of scans of the log",
+        )
+    of_scans = stamps[rows[known]]
+    off_s = float(np.abs(of_scans - relations.stamps[known]).max())
+    if not known.all() or off_s > _ROUNDED_S:
+        left = f"; {np.count_nonzero(~known)} name stamps of no scan and are left out" * (not known.all())
+        count = f"{np.count_nonzero(known)} of {len(known)}"
+        notes.append(f"{count} relations are of scans, {off_s:.3g} s away at most{left}")
+    return Relations(of_scans, relations.poses[known])

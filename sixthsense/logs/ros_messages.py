@@ -1,0 +1,244 @@
+"""ROS messages as stamps, planar poses, covariances, scans and observations; ValueError for what is not allowed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.errors import InputError
+from sixthsense.core.covariance import check_covariance
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Closure
+from sixthsense.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
+from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S
+from sixthsense.logs.units import SI, Units, check_bearings
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+NOT_MEASURED = 1e6
+"""Variance of z, roll and pitch in the covariance of a planar motion, as is customary for robots on a floor."""
+
+_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
+
+_LARGEST_STAMP_NS = LAST_STAMP_S * 1_000_000_000
+_LONGEST_SWEEP_S = 1.0
+_LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
+
+_INT32, _UINT8, _FLOAT64 = 5, 2, 8  # of sensor_msgs/PointField
+_POINT = np.dtype(
+    [*((name, "<f8") for name in ("x", "y", "z", "cov_xx", "cov_xy", "cov_yy")), ("id", "<i4"), ("kind", "u1")]
+)
+_TYPES = {"<f8": _FLOAT64, "<i4": _INT32, "|u1": _UINT8}
+FIELDS = tuple((name, offset, _TYPES[kind.str]) for name, (kind, offset) in _POINT.fields.items())  # type: ignore[union-attr, misc]
+"""Name, offset in bytes and ROS's type number of each field of a point; z is 0, for viewers."""
+POINT_BYTES = _POINT.itemsize
+
+
+def stamp_ns(message: Any) -> int:
+    """The stamp of the header, nanoseconds."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def checked_stamp(where: str, stamp_ns: int) -> int:
+    """A stamp that fits into 64 bits; InputError for any other."""
+    if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
+        raise InputError(where, f"found stamp {stamp_ns} ns", f"0 to {_LARGEST_STAMP_NS} ns")
+    return stamp_ns
+
+
+def frame_name(name: str) -> str:
+    """The name of a frame without the leading slash of ROS 1."""
+    return str(name).lstrip("/")
+
+
+def planar(position: Any, orientation: Any) -> Pose:
+    """Position and quaternion projected onto the plane; exact for a rotation about z."""
+    x, y, z, w = (float(v) for v in (orientation.x, orientation.y, orientation.z, orientation.w))
+    values = (float(position.x), float(position.y), x, y, z, w)
+    norm = math.hypot(x, y, z, w)
+    if not (all(map(math.isfinite, (*values, norm))) and norm > 0.0):
+        raise ValueError(f"found a pose of {values}, allowed: finite numbers and a quaternion that is not zero")
+    if max(abs(values[0]), abs(values[1])) > LARGEST:
+        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {LARGEST:.0e} m")
+    if x == 0.0 and y == 0.0:
+        return Pose(values[0], values[1], 2.0 * math.atan2(z, w))
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    return Pose(values[0], values[1], math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def transform(message: Any) -> Array:
+    """(4, 4) matrix of a geometry_msgs/Transform."""
+    r, t = message.rotation, message.translation
+    q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
+    t_xyz = np.array([t.x, t.y, t.z], dtype=np.float64)
+    norm = math.hypot(*q)  # without intermediate overflow
+    if not (np.abs(t_xyz).max() <= LARGEST and math.isfinite(norm) and norm > 0.0):  # false for NaN
+        raise ValueError(
+            f"found a transform that is not finite, allowed: up to {LARGEST:.0e} m and a quaternion that is not zero"
+        )
+    x, y, z, w = q / norm
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, 3] = t_xyz
+    return out
+
+
+def planar_of(T: Array) -> Pose:
+    """A (4, 4) matrix projected onto the plane; exact for a rotation about z."""
+    return Pose(T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]))
+
+
+def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
+    """The planar mount of the laser from a (4, 4) matrix, and whether the laser is upside down."""
+    if abs(T_robot_laser[2, 2]) < _LEAST_UPRIGHT:
+        raise ValueError("found a laser tilted out of the plane, allowed: a level one")
+    yaw = math.atan2(T_robot_laser[1, 0], T_robot_laser[0, 0])
+    return Pose(T_robot_laser[0, 3], T_robot_laser[1, 3], yaw), bool(T_robot_laser[2, 2] < 0.0)
+
+
+def stated_reach(message: Any, units: Units = SI) -> float | None:
+    """The `range_max` of a LaserScan, m; None where it is not that of a laser: zero, infinite, or no number."""
+    reach = float(np.float32(message.range_max)) * units.ranges
+    return reach if 0.0 < reach <= FARTHEST_M else None
+
+
+def ranges_of(message: Any, units: Units = SI) -> NDArray[np.float32]:
+    """(N,) ranges, m, of a LaserScan, or the first echoes of a MultiEchoLaserScan; infinite without an echo."""
+    rows: Any = message.ranges
+    if len(rows) and hasattr(rows[0], "echoes"):
+        rows = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in rows]
+    ranges = np.asarray(rows, dtype=np.float32)
+    return ranges if units.ranges == 1.0 else ranges * np.float32(units.ranges)
+
+
+def scan(
+    message: Any,
+    T_robot_laser: Pose,
+    upside_down: bool = False,
+    max_range: float | None = None,
+    units: Units = SI,
+) -> Scan:
+    """The scan of a LaserScan message; ranges outside [range_min, range_max] are no returns.
+
+    `max_range` replaces `range_max`, which a message has in float32 only, and may have too large or not at all. The
+    beams of a clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
+    `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
+    """
+    first, step = float(message.angle_min) * units.angles, float(message.angle_increment) * units.angles
+    ranges = ranges_of(message, units)
+    low = np.float32(message.range_min) * np.float32(units.ranges)
+    high = stated_reach(message, units)
+    count = len(ranges)
+    if not 2 <= count <= MOST_BEAMS:
+        raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {MOST_BEAMS}")
+    if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
+        raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
+    check_bearings(first, first + step * (count - 1))
+    if high is None and max_range is None:
+        raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")
+    if abs(step) * (count - 1) > 2.0 * math.pi - 0.5 * abs(step):
+        count = max(2, round(2.0 * math.pi / abs(step)))
+        ranges = ranges[:count]
+        count = len(ranges)
+    reach = min(float(high or math.inf), math.inf if max_range is None else max_range)
+    with np.errstate(invalid="ignore"):
+        returned = (ranges <= np.float32(reach)) & ((ranges >= low) if np.isfinite(low) else (ranges > 0.0))
+        ranges = np.where(returned, ranges, np.float32(np.inf))
+    lag = float(message.time_increment)
+    if not 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S:
+        lag = 0.0
+    if upside_down:
+        first, step = -first, -step
+    if step < 0.0:
+        first, step, ranges, lag = first + step * (count - 1), -step, ranges[::-1].copy(), -lag
+    ranges.flags.writeable = False
+    own = reach if max_range is None else max_range
+    return Scan(ranges, np.float32(first), np.float32(step), own, T_robot_laser, np.float32(lag))
+
+
+def spatial_covariance(cov: Array) -> Array:
+    """(6, 6) covariance of x y z roll pitch yaw from (3, 3) of x, y, theta; zero elsewhere."""
+    cov6 = np.zeros((6, 6))
+    cov6[_PLANE] = cov
+    return cov6
+
+
+def increment_covariance(cov: Array | None, is_unmeasured: bool = False) -> Array:
+    """(36,) pose.covariance of an odometry: that of the motion since the previous one, or zero if it is unknown.
+
+    Of a motion that nothing has measured the first entry is -1, as sensors of ROS say that they have no data.
+    """
+    if cov is None or is_unmeasured:
+        none = np.zeros(36)
+        none[0] = -float(is_unmeasured)
+        return none
+    cov6 = spatial_covariance(cov)
+    cov6[2, 2] = cov6[3, 3] = cov6[4, 4] = NOT_MEASURED
+    return cov6.ravel()
+
+
+def read_increment_covariance(message: Any) -> Array | None:
+    """(3, 3) from a message with `increment_covariance`, None if zero; ValueError for an invalid covariance."""
+    return planar_covariance("increment", message) if float(message.pose.covariance[14]) > 0.0 else None
+
+
+def planar_covariance(name: str, message: Any) -> Array:
+    """(3, 3) of x, y, yaw in a message whose pose has a covariance; ValueError naming it if it is invalid."""
+    cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    return check_covariance(name, cov6[_PLANE])
+
+
+def closure_of(message: Any, number: int) -> Closure:
+    """The loop closure of a PoseWithCovarianceStamped at tick `number`, whose frame is the number of an earlier one."""
+    before = int(message.header.frame_id)
+    if not 0 <= before < number:
+        raise ValueError(f"found a loop closure with tick {before} at tick {number}, allowed: an earlier one")
+    motion = planar(message.pose.pose.position, message.pose.pose.orientation)
+    return Closure(before, motion, planar_covariance("closure", message))
+
+
+def is_unmeasured(message: Any) -> bool:
+    """Whether nothing has measured the motion of an odometry with `increment_covariance`."""
+    return float(message.pose.covariance[0]) < 0.0
+
+
+def to_bytes(observations: Mapping[LandmarkId, Observation]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """(len(observations) * POINT_BYTES,) data of a cloud: positions (robot frame, m), covariances, ids, kinds."""
+    points = np.zeros(len(observations), dtype=_POINT)
+    for point, (i, s) in zip(points, observations.items(), strict=True):
+        point["x"], point["y"] = s.z
+        point["cov_xx"], point["cov_xy"], point["cov_yy"] = s.cov[0, 0], s.cov[0, 1], s.cov[1, 1]
+        point["id"], point["kind"] = i, int(s.kind)
+    return points.view(np.uint8).ravel()
+
+
+def from_cloud(message: Any) -> dict[LandmarkId, Observation]:
+    """The observations of a PointCloud2 written by `to_bytes`; ValueError for other clouds and for invalid numbers."""
+    found = tuple((f.name, f.offset, f.datatype) for f in message.fields)
+    if found != FIELDS or message.point_step != POINT_BYTES or message.is_bigendian:
+        raise ValueError(f"found a cloud of {[name for name, *_ in found][:9]}, allowed: {[f[0] for f in FIELDS]}")
+    if len(message.data) % POINT_BYTES:
+        raise ValueError(f"found a cloud of {len(message.data)} bytes, allowed: {POINT_BYTES} a point")
+    out: dict[LandmarkId, Observation] = {}
+    for point in np.asarray(message.data, dtype=np.uint8).copy().view(_POINT):
+        x, y, xx, xy, yy = (float(point[name]) for name in ("x", "y", "cov_xx", "cov_xy", "cov_yy"))
+        if not np.isfinite([x, y, xx, xy, yy]).all() or not (xx > 0.0 and xx * yy - xy * xy > 0.0):
+            raise ValueError(
+                f"found an observation at {x}, {y} of covariance {xx}, {xy}, {yy}, allowed: finite, positive"
+            )
+        if int(point["id"]) in out:
+            raise ValueError(f"found landmark {point['id']} twice in one cloud, allowed: once")
+        out[int(point["id"])] = Observation(Kind(int(point["kind"])), np.array([x, y]), np.array([[xx, xy], [xy, yy]]))
+    return out

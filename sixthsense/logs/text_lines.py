@@ -1,0 +1,214 @@
+"""Text logs: records and tables of a plain or compressed file; errors of a log name file and line."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import lzma
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from io import BufferedReader
+from pathlib import Path
+from typing import IO, NamedTuple, NoReturn, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array
+from sixthsense.logs.stamps import unit_of
+
+LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
+LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
+LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # which its shell writes
+_LARGEST_WHOLE = (1 << 31) - 1
+
+
+def check_regular(path: Path) -> None:
+    """Raise InputError if a path, or a file in that folder, is a pipe or a device, which may never end."""
+    for file in (path, *path.iterdir()) if path.is_dir() else (path,):
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise InputError(file, "is a pipe or a device", "a file")
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One line of a file with its position."""
+
+    path: Path
+    """the file"""
+    line: int
+    """line number, from 1"""
+    fields: list[bytes]
+    """words of the line"""
+
+    def fail(self, what: str) -> NoReturn:
+        """Raise InputError with file and line."""
+        raise InputError(f"{self.path} line {self.line}", what)
+
+    def numbers(self, fields: list[bytes], largest: float = LARGEST) -> Array:
+        """(len(fields),) finite numbers, up to `largest` in magnitude."""
+        values = self.parsed(fields)
+        bad = np.flatnonzero(~(np.abs(values) <= largest))
+        if len(bad):
+            self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {largest:.0e}")
+        return values
+
+    def stamp_ns(self, field: bytes, parts: int = 1) -> int:
+        """Nanoseconds of a stamp in `parts` of a second, from its decimal digits; a float would round to 0.1 us."""
+        try:
+            # Decimal accepts underscores, unlike the other fields.
+            stamp = Decimal("nan" if field.strip(b"0123456789+-.eE") else field.decode()) / parts
+        except InvalidOperation:
+            stamp = Decimal("nan")
+        if not (stamp.is_finite() and abs(stamp) <= LAST_STAMP_S):
+            self.fail(f"found stamp {shown(field)}, allowed: {-LAST_STAMP_S} to {LAST_STAMP_S} s")
+        return round(stamp * 1_000_000_000)
+
+    def whole(self, column: int, name: str) -> int:
+        """A whole number, an id or a count, of 32 bits."""
+        field = self.fields[column]
+        if not field.isdigit() or len(field) > 10 or int(field) > _LARGEST_WHOLE:
+            self.fail(f"found {name} {shown(field)}, allowed: a whole number, 0 to {_LARGEST_WHOLE}")
+        return int(field)
+
+    def parsed(self, fields: list[bytes]) -> Array:
+        """(len(fields),) numbers, NaN and infinity included."""
+        try:
+            return np.array(fields, dtype=np.float64)
+        except ValueError:
+            self.fail(f"found {shown(next(field for field in fields if not _is_number(field)))}, allowed: a number")
+
+
+def _is_number(field: bytes) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def shown(field: bytes) -> str:
+    """A field for an error message."""
+    text = field.decode("ascii", "backslashreplace")
+    return repr(text if len(text) <= 24 else text[:24] + "...")
+
+
+class Table(NamedTuple):
+    """Lines of numbers."""
+
+    records: list[Record]
+    numbers: Array
+    """(N, columns)"""
+
+    def stamps_ns(self, notes: list[str] | None = None) -> NDArray[np.int64]:
+        """(N,) stamps, nanoseconds, of the first column in seconds; in another unit if they say so, with a note."""
+        parts, name = unit_of(self.numbers[:, 0])
+        if parts > 1 and notes is not None:
+            notes.append(f"{self.records[0].path}: stamps as large as {self.numbers[0, 0]:.0f} are taken as {name}")
+        return np.array([record.stamp_ns(record.fields[0], parts) for record in self.records], dtype=np.int64)
+
+    def check(self, column: int, name: str, low: float, high: float) -> None:
+        """Fail at the first line with a number outside [low, high] in a column."""
+        values = self.numbers[:, column]
+        bad = np.flatnonzero((values < low) | (values > high))
+        if len(bad):
+            record = self.records[bad[0]]
+            record.fail(f"found {name} {shown(record.fields[column])}, allowed: {low:g} to {high:g}")
+
+
+def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to: float = LARGEST) -> Table:
+    """A line of numbers, separated by spaces, commas or semicolons, for each record; at least one.
+
+    All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises InputError,
+    naming the line, for any other line, and for numbers that are not finite or beyond `LARGEST`, `first_up_to` in the
+    first column.
+    """
+    widths = widths or (len(columns.split()),)
+    found: list[Record] = []
+    for record in records(path, b",;"):
+        count = len(record.fields)
+        if count not in widths or (found and count != len(found[0].fields)):
+            record.fail(f"found {count} fields, allowed: {' or '.join(map(str, widths))} in every line ({columns})")
+        found.append(record)
+    if not found:
+        raise InputError(path, "found no line of numbers", f"lines of {columns}")
+    try:
+        numbers = np.array([record.fields for record in found], dtype=np.float64)
+    except ValueError:
+        numbers = np.full((len(found), len(found[0].fields)), np.nan)
+    largest = np.array([first_up_to] + [LARGEST] * (numbers.shape[1] - 1))
+    if not (np.abs(numbers) <= largest).all():
+        for record in found:
+            record.numbers(record.fields[:1], first_up_to)  # says what is wrong in the first bad line
+            record.numbers(record.fields[1:])
+    return Table(found, numbers)
+
+
+def first_word(file: Path) -> bytes:
+    """The first word of a text that is no comment; empty where there is none, and for a file that cannot be read."""
+    try:
+        return next((record.fields[0] for record in records(file)), b"")
+    except InputError:
+        return b""
+
+
+def records(path: Path, separators: bytes = b"") -> Iterator[Record]:
+    """The lines of a file as words between spaces or separators; those that are blank or begin with # are skipped."""
+    for number, line in lines(path):
+        fields = words(line, separators)
+        if fields and not fields[0].startswith(b"#"):
+            yield Record(path, number, fields)
+
+
+def words(line: bytes, separators: bytes) -> list[bytes]:
+    """What stands between spaces, or any of these separators."""
+    return line.translate(bytes.maketrans(separators, b" " * len(separators))).split()
+
+
+def lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Number (from 1) and bytes of each line of a file; one that is compressed is known by its first bytes."""
+    number = 0
+    try:
+        check_regular(path)
+        with path.open("rb") as raw:
+            stream = _decompressed(path, raw)
+            while line := stream.readline(LONGEST_LINE):
+                number += 1
+                if number == 1:
+                    line = line.removeprefix(_BYTE_ORDER_MARK)
+                    if line.startswith(_UTF_16):
+                        raise InputError(path, "found text of 16 bits a letter (UTF-16)", "UTF-8 or ASCII")
+                if len(line) == LONGEST_LINE:
+                    raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
+                yield number, line
+    except FileNotFoundError:
+        raise InputError(path, "no such file") from None
+    except EOFError:
+        raise InputError(path, f"is cut short, its compressed data ends after line {number}") from None
+    except (OSError, zlib.error, lzma.LZMAError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or f"damaged after line {number}: {error}"
+        raise InputError(path, f"cannot be read ({reason})") from None
+
+
+def _decompressed(path: Path, raw: BufferedReader) -> IO[bytes]:
+    """The content of a file, by its first bytes: gzip, bzip2, xz, an archive of one file, or as it is."""
+    magic = raw.peek(6)[:6]
+    if magic.startswith(b"\x1f\x8b"):
+        return cast(IO[bytes], gzip.GzipFile(fileobj=raw))
+    if magic.startswith(b"BZh"):
+        return bz2.BZ2File(raw)
+    if magic.startswith(b"\xfd7zXZ"):
+        return lzma.LZMAFile(raw)
+    if magic.startswith(b"PK\x03\x04"):
+        archive = zipfile.ZipFile(raw)
+        files = [one for one in archive.infolist() if not (one.is_dir() or one.filename.startswith("__MACOSX/"))]
+        if len(files) != 1:
+            raise InputError(path, f"found {len(files)} files in the archive", "one")
+        return archive.open(files[0])
+    return raw

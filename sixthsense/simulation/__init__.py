@@ -1,0 +1,1 @@
+"""The simulated world, with its scenes and the people in them."""

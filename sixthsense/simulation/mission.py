@@ -1,0 +1,117 @@
+"""A task in a scene: start, goals, the robot's radius and who is about."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.random_streams import random_streams
+from sixthsense.simulation.free_parts import FreeParts
+from sixthsense.simulation.scene import Scene, check_placement, load_scene
+from sixthsense.simulation.walkers import Walkers, walkers_of
+from sixthsense.simulation.world import World
+
+
+class Mission(NamedTuple):
+    """A task in a scene, of one run: its people walk."""
+
+    scene: Scene
+    start: Pose
+    """`T_world_robot`"""
+    goals: Array
+    """(N, 2); an exploration has none"""
+    radius_m: float
+    """of the robot"""
+    walkers: Walkers | None
+
+    def world(self, config: Config) -> World:
+        """The simulated world at the start."""
+        rng = random_streams(config.seed).world
+        return World(self.scene.walls, self.start, self.radius_m, config, rng, self.scene.glass, self.walkers)
+
+
+def mission_of(config: Config, scene: Scene | None = None) -> tuple[Config, Mission]:
+    """The mission in `config.scene`, which is `scene` if it is loaded already; the configuration with its people.
+
+    Raises InputError for a scene that cannot be loaded, and as `mission`.
+    """
+    scene = scene or load_scene(config.scene, config.map_unknown)
+    config = with_people(scene, config)
+    return config, mission(scene, config)
+
+
+def mission(scene: Scene, config: Config) -> Mission:
+    """The task of a configuration in a scene, which has what the configuration does not say.
+
+    Raises InputError, naming the field, for a place that is missing, outside the region or too close to a wall, for a
+    goal that no way leads to, for a start outside region and building from which the laser reaches no wall, and for
+    more walkers than fit in.
+    """
+    if config.laser.mirrored:
+        raise InputError("laser.mirrored", "found on a simulated robot", "on a log or a robot")
+    start = Pose(*config.start) if config.start is not None else scene.start
+    goal = config.goal if config.goal is not None else scene.goal
+    if config.task == "goal" and goal is None:
+        raise InputError("goal", f"missing, the scene {scene.name} has none of its own", "x y")
+    tour = (config.tour or scene.tour) if config.task == "tour" else ()
+    if config.task == "tour" and not tour:
+        raise InputError("tour", f"missing, the scene {scene.name} has none of its own", "x y x y ...")
+    if config.task != "tour" and config.tour is not None:
+        raise InputError("tour", f"found {len(config.tour)} goals with task {config.task}", "with task tour")
+    if config.task == "explore" and config.goal is not None:
+        raise InputError("goal", f"found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore", "with task goal")
+    if config.task != "goal":
+        goal = None
+    start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
+    x0, y0, x1, y1 = config.region or scene.region
+    if not (x0 <= start.x <= x1 and y0 <= start.y <= y1):
+        _check_building_in_reach(scene, start, config.laser.max_range)
+    goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
+    radius_m = config.robot.radius or scene.radius
+    parts = FreeParts(scene.solid, np.vstack([start.position[None], goals]), radius_m, is_coarse=not len(goals))
+    _check_free(parts, start)
+    _check_ways(parts, start, goals, "goal" if config.task == "goal" else "tour")
+    return Mission(scene, start, goals, radius_m, walkers_of(scene, config, start, radius_m))
+
+
+def with_people(scene: Scene, config: Config) -> Config:
+    """The configuration of a robot that knows of people where any walk in the scene, unless it says otherwise."""
+    if config.people is None and (scene.walkers or config.world.walkers):
+        return dataclasses.replace(config, people=True)
+    return config
+
+
+def _check_free(parts: FreeParts, start: Pose) -> None:
+    """Raise InputError for a start in a solid: a table, a pillar, the inside of a thick wall."""
+    if parts.is_solid(start.position) and (near := parts.nearest(start.position)) is not None:
+        found = f"found ({start.x:g}, {start.y:g}), inside a table, a pillar or a wall"
+        raise InputError("start", found, f"a free place, such as ({near[0]:.2f}, {near[1]:.2f})")
+
+
+def _check_ways(parts: FreeParts, start: Pose, goals: Array, field: str) -> None:
+    """Raise InputError for a goal that no way leads to from the start, as in a shaft without a door."""
+    for (x, y), is_connected in zip(goals, parts.connected(start.position, goals), strict=True):
+        if not is_connected:
+            found = f"found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
+            raise InputError(field, found, f"a place that a robot of radius {parts.radius_m:g} m can drive to")
+
+
+def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:
+    """Raise InputError for a start outside the bounds of the walls and farther than `range_m` from all of them.
+
+    A start within the bounds may see no wall, in a hall that is larger than the laser's range.
+    """
+    low, high = scene.walls.min(axis=(0, 1)), scene.walls.max(axis=(0, 1))
+    place = np.array([start.x, start.y])
+    distance_m = float(point_segment_distance(place, scene.walls).min())
+    if distance_m > range_m and ((place < low) | (place > high)).any():
+        raise InputError(
+            "start",
+            f"found ({start.x:g}, {start.y:g}), outside the building and {distance_m:.3g} m from its nearest wall",
+            f"at most the laser's range {range_m:g} m",
+        )

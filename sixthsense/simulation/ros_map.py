@@ -1,0 +1,336 @@
+"""ROS maps (map_server's `.yaml` with an image): wall segments along the outlines of the occupied cells."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.section import Range, Section
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.simulation.scene_files import Coordinate, check_count, read_floats, read_section, read_text
+
+MAX_PIXELS = 100_000_000
+_FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF")
+_SAVED_UNKNOWN, _SAVED_FREE = 205, 254
+"""pixels that map_saver writes for unknown and free cells"""
+_LONGEST = 1 << 16  # characters
+_LONGEST_NAME = 1000
+_LONGEST_REASON = 300
+_DEEPEST = 20  # nested lists; a YAML parser is slow on deeper ones
+
+# Largest distance of a corner of the cells' outline from the simplified outline.
+_TOLERANCE_CELLS = 0.5
+# The cost of a segment is 1 plus this times the squared distances, in cells, of the outline's corners from it. Above 2,
+# so that removing the end of a wall one cell thick (two corners half a cell off, one segment less) raises the cost.
+# Below 4, so that one line replaces a staircase (two corners half a cell off for every two segments).
+_DEVIATION_COST = 3.0
+# Bounds the time on huge maps; few segments span more than some hundred corners.
+_LOOK_AHEAD = 2000
+
+
+@dataclass(frozen=True)
+class _Map(Section):
+    """The fields of a map."""
+
+    image: str
+    resolution: Annotated[float, Range(1e-4, 100.0)]
+    """metres a cell"""
+    origin: tuple[Coordinate, Coordinate, Coordinate]
+    """x, y and yaw of the lower left corner"""
+    negate: Literal["0", "1", "false", "true"]
+    occupied_thresh: Annotated[float, Range(0.0, 1.0)]
+    free_thresh: Annotated[float, Range(0.0, 1.0)]
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < len(self.image) <= _LONGEST_NAME:
+            raise InputError("image", f"found a name of {len(self.image)} characters", "the name of a file")
+
+
+def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
+    """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left; and notes on it.
+
+    Cells are solid from `free_thresh` on, so that beams and robots do not leave a building through the holes in a
+    scanned wall, nor where the image ends in a corridor; with `unknown` free, cells whose occupancy is above
+    `occupied_thresh` alone. The pixel's value is the mean over the image's channels, alpha included in mode trinary, as
+    in Nav2's map_server, whose rules hold but for one: in mode trinary a pixel of 205 beside some of 254 is unknown
+    whatever `free_thresh` is, since map_saver has written it so. Fields of other programs are ignored. Raises
+    InputError, without the map file's name, for a field that is missing or not allowed, and for an image that is
+    missing, damaged, huge, entirely free or entirely solid.
+    """
+    table = _read_yaml(file)
+    if isinstance(table, dict):
+        known = {f.name for f in fields(_Map)}
+        table = {key: _read_value(key, text) for key, text in table.items() if key in known}
+    stated = read_section("", table, _Map)
+    T_world_map = Pose(*stated.origin)
+
+    image = file.parent / Path(stated.image).expanduser()
+    values, is_transparent, low = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
+    channels = values.shape[2]
+    total = values.sum(axis=2, dtype=np.uint16)
+    shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
+    occupancy = shade if stated.negate in ("1", "true") else 1.0 - shade
+    is_unknown = np.zeros(len(shade), dtype=np.bool_)
+    if stated.mode == "raw":  # the pixels are the occupancy in percent
+        occupancy, is_unknown = 2.55 * shade, shade > 100.5 / 255.0
+    is_occupied = (occupancy > stated.occupied_thresh) & ~is_unknown
+    is_free = (occupancy < stated.free_thresh) & ~is_occupied & ~is_unknown
+    saved, notes = _SAVED_UNKNOWN * channels, []
+    if (
+        stated.mode == "trinary"
+        and is_free[saved]
+        and {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
+    ):
+        is_free[saved] = False
+        notes.append(
+            f"pixels of {_SAVED_UNKNOWN} are unknown, as map_saver writes them; with free_thresh "
+            f"{stated.free_thresh:g} Nav2's map_server takes them as free"
+        )
+    occupied = is_occupied[total] if unknown == "free" else ~is_free[total]
+    if stated.mode == "scale":
+        occupied = np.where(is_transparent, unknown == "wall", occupied)
+    if not occupied.any():
+        raise InputError(image, "found no occupied pixel", "at least one above occupied_thresh")
+    if occupied.all():
+        raise InputError(image, "found no free pixel", "at least one below free_thresh")
+    solid = occupied[::-1]  # the image's first row is the map's top
+    beyond = int(unknown == "wall" and _is_cut_off(solid))
+    cells, cell_ends = outline_corners(np.pad(solid, beyond, constant_values=True))
+    check_count(str(image), 3 * len(cell_ends), f"; remove the specks, it has {len(cell_ends):,} separate obstacles")
+    corners, ends = simplified(cells.astype(np.float64), cell_ends)
+    check_count(str(image), len(corners))
+    following = np.arange(1, len(corners) + 1)
+    following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
+    corners_world = T_world_map @ np.asarray((corners - beyond + low) * stated.resolution, dtype=np.float64)
+    return np.stack([corners_world, corners_world[following]], axis=1), tuple(notes)
+
+
+def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
+    """Whether what lies beyond the image (H, W) is solid: most of its border is, and a free place is cut off there."""
+    border = np.concatenate([solid[0], solid[-1], solid[1:-1, 0], solid[1:-1, -1]])
+    return bool(0.5 < border.mean() < 1.0)
+
+
+def _read_yaml(file: Path) -> Any:
+    import yaml
+
+    text = read_text(file)
+    if len(text) > _LONGEST:
+        raise InputError("", f"found over {_LONGEST} characters", "the fields of a map")
+    depth = itertools.accumulate(1 if letter in "[{" else -1 for letter in text if letter in "[]{}")
+    if max(depth, default=0) > _DEEPEST:
+        raise InputError("", f"found lists over {_DEEPEST} deep", "the fields of a map")
+    try:
+        # The base loader keeps every value as text, so that 5e-2 is read as a number, as in map_server.
+        return yaml.load(text, Loader=yaml.BaseLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise InputError("", f"is not YAML ({reason_of(error, _LONGEST_REASON)})") from None
+
+
+def _read_value(key: Any, text: Any) -> Any:
+    """The value of a field as its type has it, as far as the text allows."""
+    if key in ("resolution", "occupied_thresh", "free_thresh"):
+        return read_floats([text])[0]
+    if key == "origin" and isinstance(text, list):
+        return read_floats(text)
+    return text.lower() if key in ("negate", "mode") and isinstance(text, str) else text
+
+
+def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArray[np.bool_], tuple[int, int]]:
+    """The image's pixels (H, W, channels), 0 to 255, (H, W) which are transparent, if only in part, and the first ones.
+
+    Of a huge image with a margin of one colour only what lies within is read, from the last value on: columns from the
+    left and rows from below.
+    """
+    from PIL import Image
+
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(path, "is a folder, a pipe or a device", "an image file")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image: Image.Image = Image.open(path, formats=_FORMATS)
+        with image:
+            width, height = image.size
+            low = (0, 0)
+            if width * height > MAX_PIXELS:
+                left, top, right, bottom = _within_margin(np.asarray(image.convert("L")))
+                if (right - left) * (bottom - top) > MAX_PIXELS:
+                    allowed = f"{MAX_PIXELS:,} in all, without a margin of one colour"
+                    raise InputError(path, f"found {width} x {height} pixels", allowed)
+                image, low = image.crop((left, top, right, bottom)), (left, height - bottom)
+            if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
+                grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_), low
+            alpha = "A" in image.getbands() or "transparency" in image.info
+            if image.mode in ("1", "L") and not alpha:
+                grey = np.asarray(image.convert("L"))
+                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_), low
+            pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
+            is_transparent = pixels[:, :, -1] < 255 if alpha else np.zeros(pixels.shape[:2], dtype=np.bool_)
+            return pixels if with_alpha else pixels[:, :, :3], is_transparent, low
+    except InputError:
+        raise
+    except Image.DecompressionBombError:
+        raise InputError(path, "found a huge image", f"{MAX_PIXELS:,} pixels in all") from None
+    except FileNotFoundError:
+        raise InputError(path, "no such image file") from None
+    except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
+        # strerror omits the file's name
+        reason = (isinstance(error, OSError) and error.strerror) or reason_of(error, _LONGEST_REASON)
+        raise InputError(path, f"not a readable image ({reason})", f"{', '.join(_FORMATS)}") from None
+
+
+def _within_margin(grey: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of what lies within a margin of one colour (H, W), with a cell of it on each side."""
+    differs = grey != grey[0, 0]
+    (top, bottom), (left, right) = (
+        (max(int(found[0]) - 1, 0), min(int(found[-1]) + 2, len(any_of)))
+        for any_of in (differs.any(axis=1), differs.any(axis=0))
+        for found in [np.flatnonzero(any_of) if any_of.any() else np.array([0])]
+    )
+    return left, top, right, bottom
+
+
+def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """The closed outlines of the occupied cells, the image's border included.
+
+    `occupied` (H, W), row 0 at the bottom. Returns the corners (K, 2) of all outlines in sequence, x and y in cells
+    from the lower left corner of the grid, and the end index of each outline. Occupied cells are on the left:
+    counter-clockwise around a solid, clockwise around a hole. Cells that touch diagonally are connected, so that no
+    ray passes between them.
+    """
+    corners, ends = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
+    return corners, ends
+
+
+@numba.njit(cache=True, error_model="numpy")
+def simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Closed outlines of cells with fewer corners: these in sequence, and the end index of each outline.
+
+    The result has the least cost among all polygons through corners and midpoints of an outline's sides that stay
+    within half a cell of every corner. The cost is the number of segments plus the weighted squared distances of the
+    corners. Midpoints are candidates because a slanted wall is a staircase whose line passes through the midpoints of
+    its steps. The shortest path over candidate points and the wedge test of a segment follow Imai and Iri, "Polygonal
+    approximations of a curve" (1988).
+    """
+    kept = np.empty_like(corners)
+    kept_ends = np.empty_like(ends)
+    begin, filled = 0, 0
+    for k in range(len(ends)):
+        n = ends[k] - begin
+        points = np.empty((2 * n + 1, 2))
+        for i in range(n):
+            here, ahead = corners[begin + i], corners[begin + (i + 1) % n]
+            points[2 * i] = here
+            points[2 * i + 1] = (here + ahead) / 2
+        points[2 * n] = points[0]
+        for i in _cheapest(points, _TOLERANCE_CELLS, _DEVIATION_COST):
+            kept[filled] = points[i]
+            filled += 1
+        begin, kept_ends[k] = ends[k], filled
+    return kept[:filled], kept_ends
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Corners (K, 2) of all outlines in sequence, and the end index of each; `cells` has a free border."""
+    rows, columns = cells.shape
+    count = 0
+    for y in range(1, rows):
+        for x in range(1, columns):
+            a, b, c, d = cells[y - 1, x - 1], cells[y - 1, x], cells[y, x - 1], cells[y, x]
+            total = a + b + c + d
+            if total == 1 or total == 3:
+                count += 1
+            elif total == 2 and a == d:
+                count += 2
+    corners = np.empty((count, 2), np.int32)
+    ends = np.empty(count // 4 + 1, np.int64)
+    seen = np.zeros(cells.shape, np.uint8)
+    filled, loops = 0, 0
+    for y0 in range(1, rows - 1):
+        for x0 in range(1, columns - 1):
+            # Every outline has a side that runs right, below an occupied cell. Row by row, the first cell of an
+            # outline is at the left end of such a side, which is a corner.
+            if cells[y0, x0] == 0 or cells[y0 - 1, x0] != 0 or seen[y0, x0] != 0:
+                continue
+            y, x, dy, dx = y0, x0, 0, 1
+            corners[filled, 0], corners[filled, 1] = x - 1, y - 1
+            filled += 1
+            while True:
+                if dx == 1:
+                    seen[y, x] = 1
+                y, x = y + dy, x + dx
+                turn_y, turn_x = dy, dx
+                if cells[y + (dy - dx - 1) // 2, x + (dx + dy - 1) // 2] != 0:  # ahead on the right
+                    turn_y, turn_x = -dx, dy
+                elif cells[y + (dy + dx - 1) // 2, x + (dx - dy - 1) // 2] == 0:  # ahead on the left
+                    turn_y, turn_x = dx, -dy
+                if turn_x == dx:
+                    continue
+                dy, dx = turn_y, turn_x
+                if y == y0 and x == x0 and dx == 1:
+                    break
+                corners[filled, 0], corners[filled, 1] = x - 1, y - 1
+                filled += 1
+            ends[loops] = filled
+            loops += 1
+    return corners, ends[:loops]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray[np.int64]:
+    """Indices of the kept points of a closed outline (N + 1, 2): even ones are corners, the last point is the first."""
+    n = points.shape[0] - 1
+    cost = np.full(n + 1, np.inf)
+    cost[0] = 0.0
+    previous = np.zeros(n + 1, np.int64)
+    for i in range(n):
+        # The wedge of directions, relative to the first one, that pass all corners so far within the tolerance.
+        wedge, first, low, high = False, 0.0, -math.pi, math.pi
+        far_sq, xx, xy, yy = 0.0, 0.0, 0.0, 0.0
+        for j in range(i + 1, min(n, i + _LOOK_AHEAD) + 1):
+            dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            distance_sq = dx * dx + dy * dy
+            angle = math.atan2(dy, dx)
+            turn = (angle - first + math.pi) % (2 * math.pi) - math.pi
+            # The wedge constrains the infinite line, so no corner may lie beyond the end of the segment.
+            if distance_sq >= far_sq and (not wedge or (turn >= low - 1e-9 and turn <= high + 1e-9)):
+                deviation_sq = (xx * dy * dy - 2 * xy * dx * dy + yy * dx * dx) / distance_sq
+                total = cost[i] + 1.0 + deviation_cost * deviation_sq
+                if total < cost[j]:
+                    cost[j], previous[j] = total, i
+            if j % 2 == 1:
+                continue
+            far_sq = max(far_sq, distance_sq)
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+            if distance_sq > tolerance * tolerance:
+                half = math.asin(tolerance / math.sqrt(distance_sq))
+                if not wedge:
+                    wedge, first, turn = True, angle, 0.0
+                low, high = max(low, turn - half), min(high, turn + half)
+                if low > high + 1e-9:
+                    break
+    count = 0
+    k = n
+    while k > 0:
+        k = previous[k]
+        count += 1
+    kept = np.empty(count, np.int64)
+    k = n
+    for slot in range(count - 1, -1, -1):
+        k = previous[k]
+        kept[slot] = k
+    return kept

@@ -1,1 +1,0 @@
-"""Sources of odometry and scans: the simulated world with its scenes, and recorded logs."""

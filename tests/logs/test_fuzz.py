@@ -1,0 +1,199 @@
+"""Whatever is in a file, reading it gives a result or an error of one line, without a warning."""
+
+import gzip
+import os
+import random
+import re
+import struct
+import tempfile
+import warnings
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import sixthsense as ss
+from sixthsense.config import LaserConfig, load_config
+from sixthsense.config.errors import InputError
+from sixthsense.logs import open_log
+from sixthsense.logs.log import read_relations
+from sixthsense.logs.runfolder import read_run
+from sixthsense.simulation.scene import load_scene
+
+LASER = LaserConfig(beams=4, fov=1.5)
+ROOM = "start = [1, 1, 0]\nradius = 0.2\nwalls = [[0, 0, 4, 0], [4, 0, 4, 2], [4, 2, 0, 2], [0, 2, 0, 0]]\n"
+SCN = b"1 1 0 0.2\n0 0 4 0\n4 0 4 2\n4 2 0 2\n0 2 0 0\n"
+MAP = "image: m.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+IMAGE = b"P5 16 12 255\n" + b"\x00" * 16 + (b"\x00" + b"\xfe" * 14 + b"\x00") * 10 + b"\x00" * 16
+CARMEN = b"".join(
+    b"ODOM %d 0.5 0.1 0.1 0.2 0 %d nohost 0.5\nFLASER 4 1.0 2.0 3.0 81.8 0 0 0 %d 0.5 0.1 %d.25 nohost 0.5\n"
+    % (k, k, k, k)
+    for k in range(4)
+)
+RELATIONS = b"# t1 t2 dx dy dz roll pitch yaw\n1.25 2.25 1 0 0 0 0 0\n1.25 3.25 2 0.1 0 0 0 -0.1\n"
+CONFIG = (
+    b'preset = "report"\nscene = "office"\nseed = 3\ngoal = [1.0, 2.0]\n[laser]\nbeams = 90\nmount = [0.1, 0, 0.2]\n'
+)
+NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
+NUMBERS = [b"nan", b"inf", b"1e308", b"-1e308", b"5e-324", b"0", b"-1", b"9" * 5000, b"0x" + b"f" * 5000, b"1_0", b"[]"]
+WORDS = [b"[" * 3000, b"{a=" * 100, b"a." * 100, b'"a\\nb" = 1\n', b"\x00", b"\r", b"\xe2\x80\xa8", b"\xff\xfe",
+         b"&a [*a,", b"\xff" * 8, struct.pack("<d", float("nan")), struct.pack("<d", 1e308)]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> bytes:
+    """The bag of a short run."""
+    out = tmp_path_factory.mktemp("run") / "run"
+    ss.run("rectangle", task="tour", max_time=1.0, laser={"beams": 4, "fov": 1.5}, out=out, progress=False)
+    return (out / "bag" / "bag_0.mcap").read_bytes()
+
+
+def written(folder: Path, name: str, data: bytes) -> Path:
+    file = folder / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_bytes(data)
+    return file
+
+
+def read_map(folder: Path, data: bytes) -> object:
+    written(folder, "m.pgm", IMAGE)
+    return load_scene(written(folder, "m.yaml", data))
+
+
+def read_image(folder: Path, data: bytes) -> object:
+    written(folder, "m.pgm", data)
+    return load_scene(written(folder, "m.yaml", MAP.encode()))
+
+
+def read_bag(folder: Path, data: bytes) -> object:
+    written(folder, "bag/bag_0.mcap", data)
+    return read_run(folder, LASER)
+
+
+PARSERS = {
+    "scene": (ROOM.encode(), lambda folder, data: load_scene(written(folder, "s.toml", data))),
+    "scn": (SCN, lambda folder, data: load_scene(written(folder, "s.scn", data))),
+    "map": (MAP.encode(), read_map),
+    "image": (IMAGE, read_image),
+    "carmen": (CARMEN, lambda folder, data: open_log(written(folder, "x.log", data), LASER)),
+    "gz": (gzip.compress(CARMEN, mtime=0), lambda folder, data: open_log(written(folder, "x.log.gz", data), LASER)),
+    "relations": (RELATIONS, lambda folder, data: read_relations(written(folder, "x.relations", data))),
+    "config": (CONFIG, lambda folder, data: load_config(written(folder, "c.toml", data))),
+    "bag": (None, read_bag),
+}
+
+
+def damaged(data: bytes, rng: random.Random) -> bytes:
+    """A file damaged in one to four places."""
+    for _ in range(rng.randint(1, 4)):
+        at = rng.randint(0, len(data))
+        end, kind = min(len(data), at + rng.choice((1, 8, 50))), rng.randrange(5)
+        spans = [m.span() for m in NUMBER.finditer(data[:20_000])]
+        if kind == 0:
+            data = data[:at] + data[end:]
+        elif kind == 1:
+            data = data[:at] + rng.randbytes(rng.randint(1, 20)) + data[end:]
+        elif kind == 2:
+            data = data[: rng.choice((at, end))] + data[at:]
+        elif kind == 3:
+            data = data[:at] + rng.choice(WORDS) + data[at:]
+        elif spans:
+            low, high = rng.choice(spans)
+            data = data[:low] + rng.choice(NUMBERS) + data[high:]
+    return data
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_damaged_files_and_random_bytes_give_a_result_or_one_line(name, bag):
+    seed, read = PARSERS[name]
+    seed = seed or bag
+    with tempfile.TemporaryDirectory() as folder:
+        read(Path(folder), seed)
+        files = st.integers(0, 2**32).map(lambda number: damaged(seed, random.Random(number)))
+
+        @settings(
+            max_examples=60, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck)
+        )
+        @given(st.one_of(files, files, files, st.binary(max_size=300)))
+        def check(data: bytes) -> None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", RuntimeWarning)
+                try:
+                    read(Path(folder), data)
+                except InputError as error:
+                    assert len(str(error).splitlines()) == 1 and len(str(error)) < 2000
+
+        check()
+
+
+NOISE = random.Random(0).randbytes(5000)
+BAD_FILES = [
+    ("run s.toml", {"s.toml": ROOM.split("walls")[0]}, "walls: found none, allowed: at least one wall"),
+    ("run s.toml", {"s.toml": ROOM.replace("[4, 0, 4, 2]", "[4, 0, nan, 2]")}, "walls, entry 2: found [4, 0, nan, 2]"),
+    ("run s.toml --goal 4 1", {"s.toml": ROOM}, "goal: found (4, 1), 0 m from a wall"),
+    ("run s.scn", {"s.scn": "1 1 0 0.2\n0 0 0 0\n"}, "line 2: found a wall of no length"),
+    ("run m.yaml", {"m.yaml": MAP}, "m.pgm: no such image file"),
+    ("run m.yaml", {"m.yaml": MAP, "m.pgm": b"P5 50000 50000 255\n"}, "allowed: 100,000,000 pixels in all"),
+    ("run m.yaml", {"m.yaml": MAP.replace("m.pgm", "/dev/zero")}, "/dev/zero: is a folder, a pipe or a device"),
+    ("run --config c.toml", {"c.toml": NOISE}, "c.toml: is not UTF-8 text, allowed: a TOML file"),
+    ("run --config /dev/zero", {}, "/dev/zero: found over 8388608 characters"),
+    ("replay x.log", {"x.log": "FLASER 3 1 a 2 0 0 0 0 0 0 1 h 1\n"}, "x.log line 1: found "),
+    ("replay x.log.gz", {"x.log.gz": b"\x1f\x8b" + NOISE}, "x.log.gz: cannot be read (damaged after line 0"),
+    ("replay x.log --relations r", {"x.log": "", "r": NOISE}, "r line 1: found "),
+    ("replay x.bag", {"x.bag": NOISE}, "x.bag: cannot be read as a bag"),
+    ("replay x.db3", {"x.db3": NOISE}, "x.db3: cannot be read as a bag"),
+    ("replay run", {"run/config.toml": "", "run/bag/bag_0.mcap": NOISE}, "run/bag/bag_0.mcap: is not an MCAP file"),
+    ("report run", {"run/config.toml": NOISE}, "run/config.toml: is not UTF-8 text"),
+    ("run a\nb.toml", {}, r"scene: found 'a\nb.toml', allowed: a name without line breaks"),
+]
+
+
+@pytest.mark.parametrize(
+    ("line", "files", "said"), BAD_FILES, ids=[f"{k}-{row[0]!r}" for k, row in enumerate(BAD_FILES)]
+)
+def test_an_invalid_file_gives_one_line_and_writes_nothing(line, files, said, tmp_path, monkeypatch, complaint):
+    monkeypatch.chdir(tmp_path)
+    for name, content in files.items():
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    told = complaint(*line.split(" "))
+    assert said in told and len(told) < 1000
+
+
+def chunked(data: bytes, compression: str, size: int) -> bytes:
+    """An MCAP file of one chunk that says to hold `size` bytes."""
+
+    def record(kind: int, content: bytes) -> bytes:
+        return struct.pack("<BQ", kind, len(content)) + content
+
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    magic = b"\x89MCAP0\r\n"
+    head = struct.pack("<QQQI", 0, 10, size, 0) + text(compression) + struct.pack("<Q", len(data))
+    end = record(0x0F, bytes(4)) + record(2, bytes(20))
+    return magic + record(1, text("ros2") + text("")) + record(6, head + data) + end + magic
+
+
+def test_chunks_that_would_fill_the_memory_are_refused_in_one_line(here, monkeypatch, complaint):
+    from lz4.frame import compress
+
+    from sixthsense.logs import bag_file
+
+    zeros = 1 << 25
+    monkeypatch.setattr(bag_file, "_LARGEST_CHUNK", zeros - 1)
+    for name, size in (("lies.mcap", 100), ("honest.mcap", zeros)):
+        Path(name).write_bytes(chunked(compress(bytes(zeros)), "lz4", size))
+        assert f"found a chunk of over {zeros - 1} bytes" in complaint("replay", name)
+    Path("says.mcap").write_bytes(chunked(b"abc", "", 1 << 62))
+    assert "says.mcap: cannot be read as a bag" in complaint("replay", "says.mcap")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize(("name", "command"), [("x.log", "replay x.log"), ("x.mcap", "replay x.mcap"),
+                                               ("m.pgm", "run m.yaml"), ("x.toml", "run --config x.toml")])  # fmt: skip
+def test_a_silent_pipe_is_refused(name, command, here, complaint):
+    Path("m.yaml").write_text(MAP)
+    os.mkfifo(name)
+    assert f"{name}: is a " in complaint(*command.split())

@@ -1,0 +1,351 @@
+"""Files written by hand and read: general poses, frames, covariances, stamps to the nanosecond, maps with an origin."""
+
+import math
+import os
+import tempfile
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bags import KINDS, Bag
+from general import covariances, matrix, numbers, poses, some, tilts, turned
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from sixthsense.config import AssumedConfig, LaserConfig, merge
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.logs import open_log
+from sixthsense.logs.bag_file import read_poses, read_transforms
+from sixthsense.logs.log import read_relations
+from sixthsense.logs.mrclam import true_landmarks
+from sixthsense.logs.ros_messages import read_increment_covariance, spatial_covariance
+from sixthsense.logs.trajectories import read_covariances, read_trajectory
+from sixthsense.record.exports import write_map
+from sixthsense.record.messages import Messages
+from sixthsense.simulation.scene import load_scene
+
+S = 1_000_000_000
+BEGAN = 1_700_000_000 * S
+few = settings(some, max_examples=8)  # with files
+steps_ns = st.lists(st.integers(20_000_001, 400_000_003), min_size=4, max_size=6)
+small = st.builds(Pose, numbers(0.05, 0.3), numbers(0.05, 0.3), numbers(0.05, 0.3))
+
+
+def written(name: str, text: str) -> Path:
+    file = Path(tempfile.mkdtemp(dir=os.environ.get("PYTEST_TMP"))) / name
+    file.write_text(text)
+    return file
+
+
+def seconds(ns: int) -> str:
+    return f"{Decimal(ns) / S:.9f}"
+
+
+def chain(start: Pose, step: Pose, count: int) -> list[Pose]:
+    found = [start]
+    for _ in range(count - 1):
+        found.append(found[-1] @ step)
+    return found
+
+
+def line(*values: object) -> str:
+    return " ".join(map(str, values)) + "\n"
+
+
+def close(found: Pose, expected: Pose, to: float = 1e-9) -> None:
+    assert found.position == pytest.approx(expected.position, abs=to)
+    assert wrap_angle(found.theta - expected.theta) == pytest.approx(0.0, abs=to)
+
+
+@few
+@given(poses, small, st.builds(Pose, numbers(0.1, 0.9), numbers(0.1, 0.9), numbers(0.1, 3.0)), steps_ns)
+def test_a_carmen_log_gives_odometry_mount_and_stamps(start, step, mount, steps):
+    stamps, way, text = BEGAN + np.cumsum(steps), chain(start, step, len(steps)), ""
+    for stamp, pose in zip(stamps.tolist(), way, strict=True):
+        laser = pose @ mount
+        places = (laser.x, laser.y, laser.theta, pose.x, pose.y, pose.theta)
+        text += line("FLASER", 3, 2.5, 3.5, 4.5, *places, seconds(stamp), "host", 0.7)
+    log = open_log(written("a.log", text), LaserConfig(max_range=4.0, fov=2.0))
+    assert [tick.stamp_ns for tick in log.ticks] == stamps.tolist()
+    assert [tick.log_stamp_s for tick in log.ticks] == [float(seconds(ns)) for ns in stamps.tolist()]
+    for tick, pose in zip(log.ticks, way, strict=True):
+        close(tick.odometry, pose)
+        close(tick.scan.T_robot_laser, mount, 2e-6)
+        assert tick.scan.ranges.tolist() == [2.5, 3.5, math.inf]
+        assert tick.scan.bearings == pytest.approx([-1.0, 0.0, 1.0], abs=1e-6)
+    assert log.laser.mount == pytest.approx(mount.array(), abs=2e-6) or abs(log.laser.mount[2] - mount.theta) > 6.0
+
+
+def test_where_poses_do_not_say_it_a_carmen_log_has_the_mount_and_range_of_its_parameters():
+    text = "PARAM robot_frontlaser_offset 0.35 host 0.3\nPARAM robot_front_laser_max 4.0 host 0.3\n"
+    for k in range(5):  # the laser's pose was corrected, and is no odometry
+        text += line("FLASER", 3, 2.5, 3.5, 4.5, 3.0 * k, 0.2, 0.4, 0.3 * k, 0.5, 0.6, 7.25 + k, "host", 0.7)
+    laser = open_log(written("a.log", text)).laser
+    assert (laser.mount, laser.max_range) == ((0.35, 0.0, 0.0), 4.0)
+
+
+@few
+@given(st.sampled_from(KINDS), poses, small, poses, tilts, st.booleans(), steps_ns)
+def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_frames(
+    kind, start, step, mount, tilted, is_upside_down, steps
+):
+    plate = matrix(0.3, -0.4, 0.5, turned(0.7, tilted))
+    level = matrix(mount.x, mount.y, 0.6, turned(mount.theta, (0.0, math.pi if is_upside_down else 0.0)))
+    stamps, way = (BEGAN + np.cumsum(steps)).tolist(), chain(start, step, len(steps))
+    sweep_ns, first, ranges = 10_000_000, -0.7, np.array([2.5, 9.5, 0.05, 3.5, 0.9], np.float32)
+    with Bag(Path(tempfile.mkdtemp()) / "x", kind) as bag:
+        for parent, child, T in (("base_footprint", "plate", plate), ("plate", "laser", np.linalg.inv(plate) @ level)):
+            turn = tuple(Rotation.from_matrix(T[:3, :3]).as_quat())
+            bag.transform(parent, child, Pose(*T[:2, 3]), turn, up=float(T[2, 3]))
+        for k, (stamp, pose) in enumerate(zip(stamps, way, strict=True)):
+            bag.odometry(stamp, pose, "/wheels", turn=turned(pose.theta, tilted))
+            if k + 1 < len(way):
+                bag.scan(stamp, ranges, first=first, step=0.3, lag=sweep_ns / 4e9, low=0.1, record_ns=stamp + 7)
+    found = read_poses(bag.path, "/wheels")
+    assert (found.parent, found.child, found.stamps_ns.tolist()) == ("odom", "base_footprint", stamps)
+    expected = [[pose.x, pose.y, 0.0, *turned(pose.theta, tilted)] for pose in way]
+    assert found.poses.tolist() == expected and found.covs.shape == (len(way), 6, 6)
+    log = open_log(bag.path, LaserConfig())
+    scans = [tick for tick in log.ticks if tick.scan is not None]
+    assert len(scans) == len(way) - 1
+    side = -1.0 if is_upside_down else 1.0
+    bearings, kept = first + 0.3 * np.arange(5), np.array([True, False, False, True, True])
+    points_laser = (ranges[:, None] * np.stack([np.cos(bearings), side * np.sin(bearings)], axis=1))[kept]
+    for k, tick in enumerate(scans):
+        share = sweep_ns / (stamps[k + 1] - stamps[k])
+        expected = Pose(*(way[k].position + share * (way[k + 1].position - way[k].position)))
+        assert tick.stamp_ns == pytest.approx(stamps[k] + sweep_ns, abs=2) and tick.log_stamp_s == stamps[k] / 1e9
+        close(tick.odometry, Pose(expected.x, expected.y, way[k].theta + share * step.theta), 1e-7)
+        points = tick.scan.points_robot[::-1] if is_upside_down else tick.scan.points_robot
+        np.testing.assert_allclose(points[kept], mount @ points_laser, atol=1e-5)
+        assert np.isinf(tick.scan.ranges).sum() == 2
+        times = tick.scan.times_s[::-1] if is_upside_down else tick.scan.times_s
+        assert times == pytest.approx(1e-9 * sweep_ns * (np.arange(5) / 4.0 - 1.0))
+    assert log.laser.mount == pytest.approx(tuple(mount.array()))
+    given_mount = open_log(bag.path, LaserConfig(mount=(0.3, 0.4, -0.5)))
+    assert given_mount.scans[0].T_robot_laser == Pose(0.3, 0.4, -0.5)
+
+
+@some
+@given(covariances)
+def test_a_planar_covariance_stands_at_x_y_and_yaw_of_six_and_comes_back(cov):
+    plane = np.ix_((0, 1, 5), (0, 1, 5))
+    found = spatial_covariance(cov)
+    assert np.array_equal(found[plane], cov) and np.count_nonzero(found) == np.count_nonzero(cov)
+    message = Messages().odometry(7, Pose(), cov)
+    assert np.array_equal(message.pose.covariance.reshape(6, 6)[plane], cov)
+    assert np.array_equal(read_increment_covariance(message), cov)
+
+
+@few
+@given(poses, poses, tilts, poses)
+def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_between(before, moving, tilted, after):
+    links = [matrix(p.x, p.y, 0.3, turned(p.theta, tilted)) for p in (before, moving, after)]
+    names, product = ("world", "odom", "wheels", "base"), links[0] @ links[1] @ links[2]
+    with Bag(Path(tempfile.mkdtemp()) / "x") as bag:
+        for k in (0, 2):
+            place, turn = links[k][:3, 3], tuple(Rotation.from_matrix(links[k][:3, :3]).as_quat())
+            bag.transform(names[k], names[k + 1], Pose(*place[:2]), turn, up=float(place[2]))
+        turn = tuple(Rotation.from_matrix(links[1][:3, :3]).as_quat())
+        for k in range(3):
+            shift = Pose(moving.x + 0.1 * k, moving.y)
+            bag.transform("odom", "wheels", shift, turn, up=0.3, stamp_ns=BEGAN + k * S // 10)
+            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
+    log = open_log(bag.path, LaserConfig(), odometry_frames=("world", "base"))
+    (x, y), yaw = product[:2, 3], math.atan2(product[1, 0], product[0, 0])
+    close(log.ticks[0].odometry, Pose(x, y, yaw))
+    stamps_ns, T = read_transforms(bag.path, "world", "base")[1]
+    assert stamps_ns.tolist() == [BEGAN + k * S // 10 for k in range(3)]
+    np.testing.assert_allclose(T[0], links[1], atol=1e-9)
+    ahead = links[0][:2, 0] * 0.2
+    close(log.ticks[-1].odometry, Pose(x + ahead[0], y + ahead[1], yaw))
+
+
+def test_of_odometry_and_two_frames_that_a_robot_moves_in_the_named_one_is_its_odometry(tmp_path):
+    with Bag(tmp_path / "x") as bag:
+        for k in range(3):
+            bag.odometry(BEGAN + k * S // 10, Pose(0.2, 0.3, 0.4), child="base")
+            for parent, step in (("odom", 0.3), ("map", 0.7)):
+                bag.transform(parent, "base", Pose(2.0 + step * k, 3.0, 0.4), stamp_ns=BEGAN + k * S // 10)
+            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
+    for parent, step in (("odom", 0.3), ("map", 0.7)):
+        log = open_log(bag.path, odometry_frames=(parent, "base"))
+        close(log.ticks[-1].odometry, Pose(2.0 + 2.0 * step, 3.0, 0.4))
+
+
+@few
+@given(st.lists(st.tuples(poses, tilts, st.integers(1, 4 * 10**18)), min_size=2, max_size=4), covariances)
+def test_tables_of_poses_covariances_and_relations_keep_nanoseconds_order_and_yaw(rows, cov):
+    text, covs, relations = "# head\n", "", ""
+    for pose, (pitch, roll), ns in rows:
+        quaternion = turned(pose.theta, (pitch, roll))
+        text += line(seconds(ns), pose.x, pose.y, 0.7, *quaternion)
+        covs += line(seconds(ns), *cov[np.triu_indices(3)])
+        yaw = pose.theta + 2.0 * math.pi
+        relations += line(seconds(ns), seconds(ns + S), pose.x, pose.y, 0.7, roll, pitch, yaw)
+    stamps, found = read_trajectory(written("a.tum", text), [])
+    assert stamps.tolist() == [ns for *_, ns in rows]
+    expected = [[p.x, p.y, 0.7, *turned(p.theta, tilted)] for p, tilted, _ in rows]
+    assert found.tolist() == expected
+    stamps, found = read_covariances(written("a.cov", covs), [])
+    assert stamps.tolist() == [ns for *_, ns in rows] and np.array_equal(found, [cov] * len(rows))
+    found = read_relations(written("a.relations", relations))
+    assert found.stamps.tolist() == [[float(seconds(ns)), float(seconds(ns + S))] for *_, ns in rows]
+    assert found.poses == pytest.approx(np.array([pose.array() for pose, *_ in rows]), abs=1e-9)
+
+
+@few
+@given(st.lists(poses, min_size=2, max_size=4), covariances, poses, st.sampled_from(["EDGE_SE2", "EDGE2", "ODOMETRY"]))
+def test_a_graph_gives_the_product_of_its_edges_and_their_covariances_in_the_axes_before(steps, cov, place, tag):
+    numbers_of = cov if tag == "ODOMETRY" else np.linalg.inv(cov)
+    order = (
+        [(0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2)]
+        if tag == "EDGE2"
+        else list(zip(*np.triu_indices(3), strict=True))
+    )
+    text = "".join(
+        line(tag, k + 3, k + 4, *map(repr, step.array().tolist()), *(repr(float(numbers_of[ij])) for ij in order))
+        for k, step in enumerate(steps)
+    )
+    bearing, distance = math.atan2(place.y, place.x), math.hypot(place.x, place.y)
+    text += line("BR", 4, 77, bearing, distance, 0.02, 0.3)
+    ticks, pose = open_log(written("a.g2o", text)).ticks, Pose()
+    for tick, step in zip(ticks[1:], steps, strict=True):
+        pose = pose @ step
+        close(tick.odometry, pose, 1e-8)
+        turn = Pose(theta=step.theta).adjoint()
+        assert tick.increment_cov == pytest.approx(turn @ cov @ turn.T, rel=1e-6, abs=1e-6)
+    b, r, polar = ticks[1].observations[77].bearing_range()
+    assert (b, r) == (pytest.approx(bearing, abs=2e-3), pytest.approx(distance, rel=2e-3))
+    assert np.diag(polar) == pytest.approx([0.02**2, 0.3**2], rel=0.05)
+
+
+@given(poses, numbers(0.2, 1.2), st.floats(2.0, 9.0))
+@few
+def test_a_mrclam_folder_gives_the_way_the_truth_and_landmarks_by_depth_bearing_and_their_noise(start, bearing, depth):
+    folder = written("Barcodes.dat", "3 13\n8 25\n9 31\n").parent
+    times = [f"{1000 + 0.25 * k:.3f}" for k in range(5)]
+    (folder / "Robot3_Odometry.dat").write_text("".join(line(t, 0.4, 0.3) for t in times))
+    theta = [start.theta, start.theta + 0.3]  # may cross pi
+    truth = line("999.9", start.x, start.y, theta[0]) + line(
+        "1001.1", start.x + 0.4, start.y - 0.7, wrap_angle(theta[1])
+    )
+    (folder / "Robot3_Groundtruth.dat").write_text(truth)
+    (folder / "Landmark_Groundtruth.dat").write_text(line(8, 3.5, -4.5, 0.01, 0.02) + line(9, -2.5, 6.5, 0.03, 0.04))
+    seen = [(13, 2.5, 0.3), (25, depth, bearing)]
+    (folder / "Robot3_Measurement.dat").write_text("".join(line("1000.600", *row) for row in seen))
+    noise = {"laser": {"range_m": 0.2, "bearing_rad": 0.03}, "landmark_floor_m": 0.05}
+    ticks = open_log(folder, assumed=merge(AssumedConfig(), noise)).ticks
+    assert [tick.stamp_ns - 1000 * S for tick in ticks] == [k * S // 20 for k in (0, 5, 10, 12, 15, 20)]
+    for tick in ticks:
+        s = 1e-9 * (tick.stamp_ns - 1000 * S)
+        share = (s + 0.1) / 1.2
+        close(tick.truth, Pose(start.x + 0.4 * share, start.y - 0.7 * share, start.theta + 0.3 * share), 1e-6)
+        arc = Pose(0.4 / 0.3 * math.sin(0.3 * s), 0.4 / 0.3 * (1.0 - math.cos(0.3 * s)), 0.3 * s)
+        close(tick.odometry, ticks[0].truth @ arc, 1e-6)
+    ((subject, found),) = ticks[3].observations.items()
+    assert subject == 8 and not any(tick.observations for tick in ticks if tick is not ticks[3])
+    b, r, polar = found.bearing_range()
+    distance = depth / math.cos(bearing)
+    assert (b, r) == (pytest.approx(bearing, abs=0.01), pytest.approx(distance, rel=0.01))
+    floor = 0.05**2
+    expected = [0.03**2 + floor / distance**2, 0.2**2 + floor]
+    assert np.diag(polar) == pytest.approx(expected, rel=0.03)
+    assert {k: place.tolist() for k, place in true_landmarks(folder).items()} == {8: [3.5, -4.5], 9: [-2.5, 6.5]}
+
+
+# --- maps
+
+
+def a_map(folder: Path, pixels: np.ndarray, origin: str, **fields: object) -> Path:
+    Image.fromarray(np.asarray(pixels, dtype=np.uint8)).save(folder / "m.pgm")
+    table = {"image": "m.pgm", "resolution": 0.15, "origin": origin, "negate": 0, **fields}
+    table = {"occupied_thresh": 0.65, "free_thresh": 0.25, **table}
+    (folder / "m.yaml").write_text("".join(f"{k}: {v}\n" for k, v in table.items()))
+    return folder / "m.yaml"
+
+
+def corners(walls: np.ndarray) -> set[tuple[float, ...]]:
+    return {tuple(np.round(end, 6).tolist()) for wall in walls for end in wall}
+
+
+def rectangle(rows: tuple[int, int], cols: tuple[int, int], height: int) -> np.ndarray:
+    """Its corners from the lower left of the map, in cells."""
+    low, high = height - rows[1], height - rows[0]
+    return np.array([(x, y) for x in cols for y in (low, high)], dtype=float)
+
+
+@few
+@given(poses, st.integers(1, 4), st.integers(1, 6), st.floats(0.05, 0.4), st.sampled_from(["0", "1", "true", "false"]))
+def test_a_map_is_a_scene_with_its_origin_yaw_resolution_and_shape(origin, row, col, resolution, negate):
+    pixels = np.full((11, 17), 254)
+    pixels[row : row + 4, col : col + 7] = 0
+    pixels = 255 - pixels if negate in ("1", "true") else pixels
+    with tempfile.TemporaryDirectory() as folder:
+        file = a_map(Path(folder), pixels, [origin.x, origin.y, origin.theta], resolution=resolution, negate=negate)
+        scene = load_scene(file)
+    expected = origin @ (resolution * rectangle((row, row + 4), (col, col + 7), 11))
+    assert np.sort(np.unique(scene.walls.reshape(-1, 2).round(6), axis=0), axis=0) == pytest.approx(
+        np.sort(np.unique(expected.round(6), axis=0), axis=0), abs=2e-6
+    )
+    # The solid is on the left of each wall.
+    along = scene.walls[:, 1] - scene.walls[:, 0]
+    to_centre = expected.mean(axis=0) - scene.walls[:, 0]
+    assert (along[:, 0] * to_centre[:, 1] - along[:, 1] * to_centre[:, 0] > 0.0).all()
+
+
+@pytest.mark.parametrize(("unknown", "first_solid"), [("wall", 0.4), ("free", 0.6)])
+@pytest.mark.parametrize("negate", [0, 1])
+def test_cells_are_solid_from_one_threshold_on_or_above_the_other(tmp_path, unknown, first_solid, negate):
+    """Occupancy 0.4 = 153 of 255 shades is at the lower threshold, 0.6 is at the upper one."""
+    for shade in (101, 102, 103, 152, 153, 154):
+        pixels = np.full((7, 12), 0 if negate else 255)
+        pixels[2, 4] = shade
+        pixels[5, 8] = 255 if negate else 0
+        occupancy = shade / 255.0 if negate else 1.0 - shade / 255.0
+        thresholds = {"free_thresh": repr(1.0 - 153 / 255 if not negate else 102 / 255),
+                      "occupied_thresh": repr(1.0 - 102 / 255 if not negate else 153 / 255)}  # fmt: skip
+        scene = load_scene(a_map(tmp_path, pixels, "[2.5, -3.5, 0.7]", negate=negate, **thresholds), unknown)
+        at_least = occupancy >= float(thresholds["free_thresh"])
+        is_solid = at_least if unknown == "wall" else occupancy > float(thresholds["occupied_thresh"])
+        assert len(scene.walls) == (8 if is_solid else 4), shade
+
+
+def test_alpha_is_averaged_in_mode_trinary_and_makes_a_cell_unknown_in_mode_scale(tmp_path):
+    pixels = np.full((7, 12), 255, dtype=np.uint8)
+    pixels[5, 8] = 0
+    file, alpha = a_map(tmp_path, pixels, "[2.5, -3.5, 0.7]", image="m.png"), np.full((7, 12), 255, dtype=np.uint8)
+    alpha[1, 3] = 0  # white, but transparent: a mean of 0.5 with one channel, 0.75 with three
+    Image.fromarray(np.dstack([pixels, alpha])).save(tmp_path / "m.png")
+    both = len(load_scene(file).walls)
+    file.write_text(file.read_text() + "mode: scale\n")
+    assert (both, len(load_scene(file).walls), len(load_scene(file, "free").walls)) == (8, 8, 4)
+
+
+@pytest.mark.parametrize(("solid_border", "is_closed"), [(13, False), (21, True), (34, False)])
+def test_what_lies_beyond_an_image_is_solid_if_most_of_its_border_is_and_not_all(tmp_path, solid_border, is_closed):
+    """Of 34 border pixels; a free place that the image cuts off is closed by walls beyond it, shifted by no cell."""
+    pixels = np.full((7, 12), 254)
+    border = [(r, c) for r in range(7) for c in range(12) if r in (0, 6) or c in (0, 11)]
+    for r, c in border[:solid_border]:
+        pixels[r, c] = 0
+    file = a_map(tmp_path, pixels, "[2.5, -3.5, 0]")
+    scene = load_scene(file)
+    x0, y0, x1, y1 = scene.region
+    expected = (2.35, -3.65, 4.45, -2.3) if is_closed else (2.5, None, 4.3, -2.45)
+    for found, wanted in zip((x0, y0, x1, y1), expected, strict=True):
+        assert wanted is None or found == pytest.approx(wanted)
+    assert load_scene(file, "free").region[2] <= 4.3 + 1e-9
+
+
+def test_a_map_that_a_run_writes_is_a_scene_at_the_same_place(tmp_path):
+    cells = np.full((9, 14), -1, dtype=np.int8)
+    cells[2:8, 3:12] = 0
+    cells[3:5, 4:9] = 100
+    write_map(tmp_path, cells, (-1.5, 2.5), 0.15)
+    scene = load_scene(tmp_path / "map.yaml", "free")
+    expected = np.array([-1.5, 2.5]) + 0.15 * np.array([(x, y) for x in (4, 9) for y in (3, 5)])
+    assert corners(scene.walls) == {tuple(np.round(end, 6).tolist()) for end in expected}

@@ -1,0 +1,469 @@
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Pose, point_segment_distance
+from sixthsense.core.ray_casting import cast_rays
+from sixthsense.core.source import Command
+from sixthsense.simulation.campus import Campus, campus_walls
+from sixthsense.simulation.free_parts import FreeParts
+from sixthsense.simulation.mission import mission, mission_of
+from sixthsense.simulation.ros_map import outline_corners, simplified
+from sixthsense.simulation.scene import Scene, check_placement, load_scene, shipped_scenes
+
+SHIPPED = ["apartment", "block", "campus", "loop", "office", "rectangle"]
+GOOD = """
+start = [2.3, 3.4, 0.7]
+radius = 0.2
+goal = [4.5, 3.9]
+tour = [[4.5, 3.6], [2.5, 4.1]]
+region = [1.6, 2.8, 5.4, 4.3]
+"""
+SIDES = [[1.5, 2.5, 5.5, 2.5], [5.5, 2.5, 5.5, 4.5], [5.5, 4.5, 1.5, 4.5], [1.5, 4.5, 1.5, 2.5]]
+ROOM = f"walls = {SIDES}\n"
+SMALL = Campus((3, 2), 27.0, 3.0, 0.3, 1.0, 4)
+CELL_M = 0.1
+SQUARE = [[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]]
+SHAFT = [[[3, 3], [4.5, 3]], [[4.5, 3], [4.5, 4.5]], [[4.5, 4.5], [3, 4.5]]]
+MAP = {
+    "image": "m.png", "resolution": "0.1", "origin": "[0, 0, 0]", "negate": "0", "occupied_thresh": "0.65",
+    "free_thresh": "0.196",
+}  # fmt: skip
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def write_map(folder: Path, pixels: np.ndarray, image: str = "m.png", **fields: str) -> Path:
+    Image.fromarray(np.asarray(pixels, dtype=np.uint8)).save(folder / image)
+    table = {**MAP, "image": image, **fields}
+    return write(folder, "m.yaml", "".join(f"{k}: {v}\n" for k, v in table.items()))
+
+
+def sides(scene: Scene) -> set[tuple[tuple[float, float], ...]]:
+    return {tuple(sorted(map(tuple, np.round(wall, 9) + 0.0))) for wall in scene.walls}
+
+
+# --- the shipped scenes
+
+
+def test_the_shipped_scenes_are_listed_by_name() -> None:
+    assert list(shipped_scenes()) == SHIPPED
+    assert load_scene("campus").region == (0.0, 0.0, 303.0, 303.0)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_no_ray_leaks_out_of_a_scene(name: str) -> None:
+    scene = load_scene(name)
+    for place in [tuple(scene.start.position), scene.goal, *scene.tour]:
+        ranges = cast_rays(Pose(*place, 0.1), np.linspace(-math.pi, math.pi, 1441), scene.walls, 1000.0)
+        x0, y0, x1, y1 = scene.region
+        assert ranges.max() <= math.hypot(x1 - x0, y1 - y0)
+
+
+# --- loading
+
+
+def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
+    polygon = "[[polygons]]\npoints = [[1.5, 2.5], [5.5, 2.5], [5.5, 4.5], [1.5, 4.5]]\n"
+    a = load_scene(write(tmp_path, "a.toml", GOOD + ROOM))
+    b = load_scene(write(tmp_path, "b.toml", GOOD + polygon))
+    c = load_scene(str(write(tmp_path, "c.toml", GOOD + polygon + "closed = false\n")))
+    assert a.walls.reshape(-1, 4).tolist() == SIDES
+    assert sides(a) == sides(b) and len(c.walls) == 3 and sides(c) < sides(b)
+    assert (a.name, a.radius, a.goal, a.tour) == ("a", 0.2, (4.5, 3.9), ((4.5, 3.6), (2.5, 4.1)))
+    assert (a.start, a.region) == (Pose(2.3, 3.4, 0.7), (1.6, 2.8, 5.4, 4.3))
+    assert a.walls.dtype == np.float64 and not a.walls.flags.writeable
+    bare = write(tmp_path, "d.toml", GOOD.split("region")[0] + ROOM)
+    assert load_scene(bare).region == (1.5, 2.5, 5.5, 4.5)
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("start = [2.3, 3.4, 0.7]", "start = [2.3, 4.4, 0.7]", "start: found (2.3, 4.4), outside the region"),
+    ("tour = [[4.5, 3.6]", "tour = [[4.5, 4.35]", "tour, entry 1: found (4.5, 4.35), outside the region"),
+    ("goal = [4.5, 3.9]", "goal = [5.35, 3.9]", "goal: found (5.35, 3.9), 0.15 m from a wall"),
+    ("region = [1.6, 2.8, 5.4, 4.3]", "region = [1.6, 4.3, 5.4, 2.8]", "region: found [1.6, 4.3, 5.4, 2.8]"),
+    ("radius = 0.2", "radius = 0", "radius: found 0, allowed: a number above 0"),
+    ("radius = 0.2", "radius = 2e6", "radius: found 2000000.0, allowed: a number above 0"),
+    ("[1.5, 2.5, 5.5, 2.5]", "[1.5, 2e6, 5.5, 2.5]", "walls, entry 1: found [1.5, 2000000.0, 5.5, 2.5]"),
+    (ROOM, "[[polygons]]\npoints = [[1.5, 2.5], [5.5, 2.5]]\n", "polygons, entry 1, points: found 2, allowed"),
+    (ROOM, f"walls = {[[1.5, 2.5, 5.5, 2.5]] * 52_100}\n", "walls: found "),
+])  # fmt: skip
+def test_a_scene_that_cannot_be_is_refused_by_its_field(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in GOOD + ROOM
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, "a.toml", (GOOD + ROOM).replace(old, new)))
+    assert said in str(caught.value)
+
+
+# --- start and goal from outside
+
+
+def test_a_placement_is_checked_against_the_scene() -> None:
+    scene = load_scene("apartment")
+    assert check_placement(scene) == scene.start
+    placed = check_placement(scene, (1.0, 5.0, 3.0), (13.0, 5.0), (0, 0, 14, 9), 0.25)
+    assert placed == Pose(1.0, 5.0, 3.0)
+    for given, said in [
+        ({"start": (0.05, 5.0, 0.3)}, "0.05 m from a wall, allowed: at least the robot's radius 0.18 m"),
+        ({"start": Pose(0.2, 5.0), "radius": 0.3}, "0.2 m from a wall, allowed: at least the robot's radius 0.3 m"),
+        ({"start": (1.0, 2.0)}, "start: found (1.0, 2.0), allowed: 3 numbers"),
+        ({"start": (math.nan, 2.0, 0.0)}, "start: found (nan, 2.0, 0.0)"),
+        ({"goal": (5.0, 5.0), "region": (6.0, 0.0, 14.0, 9.0)}, "outside the region, allowed: x 6 to 14, y 0 to 9"),
+        ({"goal": (7.0, 8.0), "region": (6.0, 0.0, 14.0, 7.0)}, "outside the region, allowed: x 6 to 14, y 0 to 7"),
+        ({"tour": [(1.0, 5.0), (0.0, 5.0)]}, "tour, entry 2: found (0, 5), 0 m from a wall"),
+        ({"radius": 0.9}, "start: found (11.6, 0.8), 0.8 m from a wall"),
+    ]:
+        with pytest.raises(InputError) as caught:
+            check_placement(scene, **given)
+        assert said in str(caught.value)
+
+
+# --- the report's format
+
+
+def test_a_scn_file_is_a_start_a_radius_and_walls(tmp_path: Path) -> None:
+    walls = "-2 -1.5 -2 2\n-2 2 3 2\n\n3 2 3 -1.5\n3 -1.5 -2 -1.5\n"
+    scene = load_scene(write(tmp_path, "r.scn", "0.3 0.5 1.2 0.15\r\n" + walls))
+    assert (scene.start, scene.radius, scene.goal, scene.tour) == (Pose(0.3, 0.5, 1.2), 0.15, None, ())
+    assert scene.region == (-2, -1.5, 3, 2) and len(scene.walls) == 4
+    with pytest.raises(InputError, match=r"start: found .*, 0\.1 m from a wall"):
+        load_scene(write(tmp_path, "r.scn", "2.9 0.5 1.2 0.15\n" + walls))
+
+
+# --- maps
+
+
+def random_images() -> list[np.ndarray]:
+    images = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        image = rng.random((rng.integers(1, 25), rng.integers(1, 25)))
+        image = ndimage.gaussian_filter(image, rng.choice([0.0, 0.7, 1.5]))
+        images.append(image > np.quantile(image, rng.uniform(0.1, 0.9)))
+    return images
+
+
+def test_outlines_are_the_edges_between_occupied_and_free_cells() -> None:
+    for occupied in random_images():
+        found = set()
+        corners, ends = outline_corners(occupied)
+        for loop in np.split(corners.astype(np.float64), ends[:-1]):
+            for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+                steps = int(np.abs(b - a).sum())
+                along = a + np.arange(steps + 1)[:, None] * np.sign(b - a)
+                edges = [tuple(map(tuple, pair)) for pair in np.stack([along[:-1], along[1:]], axis=1)]
+                assert not found & set(edges)
+                found |= set(edges)
+        padded = np.pad(occupied, 1)
+        expected = set()
+        for y, x in np.argwhere(padded):
+            left, bottom = x - 1.0, y - 1.0
+            right, top = left + 1, bottom + 1
+            expected |= {((left, bottom), (right, bottom))} if not padded[y - 1, x] else set()
+            expected |= {((right, bottom), (right, top))} if not padded[y, x + 1] else set()
+            expected |= {((right, top), (left, top))} if not padded[y + 1, x] else set()
+            expected |= {((left, top), (left, bottom))} if not padded[y, x - 1] else set()
+        assert found == expected
+
+
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_a_slanted_wall_is_a_straight_one_and_no_corner_is_farther_off_than_half_a_cell(run: int) -> None:
+    rows, cols = np.indices((60, 60))
+    solid = cols >= rows // run + 7
+    traced, ends = outline_corners(solid)
+    kept, _ = simplified(traced.astype(np.float64), ends)
+    assert len(kept) <= 8 < len(traced)
+    off = [point_segment_distance(c, np.stack([kept, np.roll(kept, -1, axis=0)], axis=1)).min() for c in traced]
+    assert max(off) <= 0.5 + 1e-9
+
+
+def test_a_wall_one_cell_thick_keeps_its_ends_and_a_corner_its_place() -> None:
+    solid = np.zeros((9, 30), dtype=bool)
+    solid[4, 3:25] = True
+    solid[4:8, 24] = True
+    traced, ends = outline_corners(solid)
+    kept, _ = simplified(traced.astype(np.float64), ends)
+    expected = [[3.0, 4.0], [25.0, 4.0], [25.0, 8.0], [24.0, 8.0], [24.0, 5.0], [3.0, 5.0]]
+    assert sorted(kept.tolist()) == sorted(expected)
+
+
+def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
+    pixels = np.full((40, 60), 254)
+    pixels[10:30, 20:45] = 0
+    scene = load_scene(write_map(tmp_path, pixels, origin="[-1.3, 2.7, 0]"))
+    assert check_placement(scene, (0.2, 3.5, 0.4)) == Pose(0.2, 3.5, 0.4)
+    with pytest.raises(InputError, match=r"start: found \(1.5, 4.9\), inside a wall, 0.8 m deep"):
+        check_placement(scene, (1.5, 4.9, 0.4))
+    assert len(load_scene(write_map(tmp_path, pixels), "free").walls) == 4
+    inverted = load_scene(write_map(tmp_path, 254 - pixels, origin="[-1.3, 2.7, 0]"))
+    with pytest.raises(InputError, match=r"inside a wall, [.\d]+ m deep, allowed: a free place$"):
+        check_placement(inverted, (0.2, 3.5, 0.4))
+    with pytest.raises(InputError, match="start: found the heading 90, allowed: radians"):
+        check_placement(scene, (0.2, 3.5, 90.0))
+
+
+@pytest.mark.parametrize(("fields", "said"), [
+    ({"free_thresh": "1.7"}, "free_thresh: found 1.7"), ({"mode": "grey"}, "mode: found 'grey'"),
+    ({"origin": "[0.3, 0.4]"}, "origin: "), ({"resolution": "0"}, "resolution: "),
+])  # fmt: skip
+def test_a_map_with_a_field_that_is_not_allowed_is_refused(tmp_path: Path, fields: dict, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        load_scene(write_map(tmp_path, np.full((4, 6), 254), **fields))
+
+
+def test_a_huge_map_is_read_within_its_margin_and_refused_without_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pixels = np.full((60, 90), 205)
+    pixels[12:30, 20:47] = 254
+    pixels[12, 20:47] = pixels[15:19, 31:40] = 0
+    file = write_map(tmp_path, pixels, origin="[-1.3, 2.7, 0.4]")
+    whole = load_scene(file, "free")
+    monkeypatch.setattr("sixthsense.simulation.ros_map.MAX_PIXELS", 20 * 29)
+    assert sides(load_scene(file, "free")) == sides(whole)
+    monkeypatch.setattr("sixthsense.simulation.ros_map.MAX_PIXELS", 20 * 29 - 1)
+    with pytest.raises(InputError, match="found 90 x 60 pixels, allowed: 579 in all, without a margin of one colour"):
+        load_scene(file)
+
+
+def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    grey = rng.choice(np.array([0, 60, 120, 205, 254], np.uint8), (20, 30))
+    expected = sides(load_scene(write_map(tmp_path, grey)))
+    assert sides(load_scene(write_map(tmp_path, grey, image="m.pgm"))) == expected
+    assert sides(load_scene(write_map(tmp_path, np.dstack([grey] * 3)))) == expected
+    assert sides(load_scene(write_map(tmp_path, 255 - grey, negate="1"))) == expected
+    assert sides(load_scene(write_map(tmp_path, grey, mode="scale", resolution="1e-1"))) == expected
+    path = write_map(tmp_path, grey)
+    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "m.png")
+    assert sides(load_scene(path)) == expected
+    Image.fromarray(grey).convert("P").save(tmp_path / "m.png")
+    assert sides(load_scene(path)) == expected
+    ascii_pgm = f"P2\n# comment\n30 20\n255\n{' '.join(map(str, grey.ravel()))}\n"
+    write(tmp_path, "m.pgm", ascii_pgm)
+    assert (
+        sides(load_scene(write(tmp_path, "n.yaml", path.read_text().replace("m.png", f"{tmp_path}/m.pgm")))) == expected
+    )
+
+
+def saved_map() -> np.ndarray:
+    """Pixels as map_saver writes them: a room that was seen in part, and a wall in it."""
+    grey = np.full((20, 30), 205)
+    grey[4:15, 3:21], grey[4, 3:21], grey[6:9, 11] = 254, 0, 0
+    return grey
+
+
+@pytest.mark.parametrize("free_thresh", ["0.25", "0.7"])
+def test_what_a_saver_wrote_as_unknown_stays_so_with_a_note(tmp_path: Path, free_thresh: str) -> None:
+    grey = saved_map()
+    expected = load_scene(write_map(tmp_path, grey))
+    found = load_scene(write_map(tmp_path, grey, free_thresh=free_thresh))
+    assert sides(found) == sides(expected) and not expected.notes
+    assert f"with free_thresh {free_thresh} Nav2's map_server takes them as free" in found.notes[0]
+    other_grey = load_scene(write_map(tmp_path, np.where(grey == 254, 240, grey), free_thresh=free_thresh))
+    assert sides(other_grey) != sides(expected) and not other_grey.notes
+
+
+def test_maps_load_by_the_rules_of_nav2(tmp_path: Path) -> None:
+    """Other programs' fields and mode in any case; raw pixels in percent, transparent ones, and TIFF."""
+    grey = saved_map()
+    expected = sides(load_scene(write_map(tmp_path, grey)))
+    assert sides(load_scene(write_map(tmp_path, grey, map_version="1.0", mode="Trinary"))) == expected
+    assert sides(load_scene(write_map(tmp_path, grey, "m.tif"))) == expected
+    raw = np.select([grey == 205, grey == 0], [255, 100], 0)
+    assert sides(load_scene(write_map(tmp_path, raw, mode="raw"))) == expected
+    clear = np.dstack([np.where(grey == 205, 254, grey)] * 3 + [np.where(grey == 205, 0, 255)])
+    assert sides(load_scene(write_map(tmp_path, clear, mode="scale"))) == expected
+
+
+# --- real files
+
+
+def test_the_real_maps_load(data_dir: Path) -> None:
+    files = sorted((data_dir / "maps").glob("*.yaml"))
+    assert files
+    for file in files:
+        scene = load_scene(file)
+        assert len(scene.walls) > 100 and np.isfinite(scene.walls).all()
+        assert np.linalg.norm(scene.walls[:, 1] - scene.walls[:, 0], axis=1).min() > 0.01
+
+
+def test_glass_is_solid_and_no_wall(tmp_path: Path) -> None:
+    scene = load_scene(write(tmp_path, "glazed.toml", GOOD + ROOM + "glass = [[3.5, 2.5, 3.5, 3.2]]\n"))
+    assert len(scene.walls) == 4
+    assert scene.glass.tolist() == [[[3.5, 2.5], [3.5, 3.2]]]
+    assert len(scene.solid) == 5
+    with pytest.raises(InputError, match="goal"):
+        check_placement(scene, goal=(3.6, 3.1))
+    with pytest.raises(InputError, match="glass, entry 1: found"):
+        load_scene(write(tmp_path, "glazed.toml", GOOD + ROOM + "glass = [[2, 0, 2]]\n"))
+    with pytest.raises(InputError, match="glass: expected shape"):
+        Scene("s", scene.walls, None, 0.2, None, (), scene.region, glass=np.zeros((1, 4)))
+
+
+# --- a campus that is drawn from a few numbers
+
+
+def drawn(walls, size):
+    """Cells that walls cross."""
+    cells = np.zeros(np.round(np.array(size) / CELL_M).astype(int) + 2, dtype=bool)
+    for a, b in np.array(walls):
+        points = a + np.linspace(0.0, 1.0, int(np.hypot(*(b - a)) / 0.03) + 2)[:, None] * (b - a)
+        cells[tuple(np.floor(points / CELL_M).astype(int).T)] = True
+    return cells
+
+
+def test_every_room_and_hall_is_reached_through_doors():
+    cells = drawn(campus_walls(SMALL), (93.0, 63.0))
+    areas, _ = ndimage.label(~cells[1:-2, 1:-2])
+    sizes = np.bincount(areas.ravel())[1:] * CELL_M**2
+    assert sizes.max() > 0.95 * 93.0 * 63.0 - 200.0  # without the walls
+    assert np.sort(sizes)[-2] < 2.0  # the inside of furniture and pillars
+
+
+def test_one_seed_is_one_campus_and_another_is_another():
+    assert np.array_equal(campus_walls(SMALL), campus_walls(SMALL))
+    assert len({campus_walls(replace(SMALL, seed=seed)).tobytes() for seed in range(4, 8)}) == 4
+
+
+def doors(walls):
+    """Widths of the gaps between the two parts of a wall."""
+    found = []
+    for (a, b), (c, d) in itertools.pairwise(walls):
+        first, gap, last, whole = (float(np.hypot(*(q - p))) for p, q in ((a, b), (b, c), (c, d), (a, d)))
+        if gap > 0.3 and first + gap + last == pytest.approx(whole, abs=1e-9):
+            found.append(gap)
+    return found
+
+
+def test_a_campus_has_its_size_its_share_of_halls_and_its_doors():
+    bare = Campus((6, 4), 27.0, 3.0, 0.0, 0.0, 4)
+    walls = campus_walls(bare)
+    assert (walls.min(axis=(0, 1)).tolist(), walls.max(axis=(0, 1)).tolist()) == ([0.0, 0.0], [183.0, 123.0])
+    xs = np.unique(walls[4:, :, 0].round(9))
+    assert xs[0] == 3.0 and xs[-1] == 180.0  # a corridor goes around all blocks
+    assert 0.9 <= min(doors(walls)) < 0.95 and 1.15 < max(doors(walls)) <= 1.2
+    halls = campus_walls(replace(bare, halls=1.0))
+    assert len(halls) == 4 + 24 * (8 + 4 * 9)  # four sides with a door, and 3 x 3 pillars
+    assert doors(halls[4:12]) == pytest.approx([2.0] * 4)
+    pillars = halls[12:48].reshape(9, 8, 2)
+    assert np.ptp(pillars, axis=1) == pytest.approx(np.full((9, 2), 0.6))
+    assert np.diff(np.unique(pillars[:, 0, 0].round(6))).tolist() == [6.0, 6.0]
+    some = np.concatenate([campus_walls(replace(bare, halls=0.25, seed=seed)) for seed in range(8)])
+    sides_of_pillars = np.isclose(np.linalg.norm(some[:, 1] - some[:, 0], axis=1), 0.6, atol=1e-9).sum()
+    assert 30 < sides_of_pillars / 36 < 66  # of 192 blocks
+
+
+def test_furniture_has_its_mean_number_and_stands_apart_from_walls_and_other_pieces():
+    walls = campus_walls(Campus((3, 2), 27.0, 3.0, 0.0, 2.5, 4))
+    boxes = [walls[k : k + 4] for k in range(len(walls) - 3)
+             if np.array_equal(walls[k + 3, 1], walls[k, 0]) and np.ptp(walls[k : k + 4, :, 0]) < 1.6]  # fmt: skip
+    pieces = np.array([[b[:, :, 0].min(), b[:, :, 1].min(), b[:, :, 0].max(), b[:, :, 1].max()] for b in boxes])
+    assert 6 * 16 < len(pieces) < 2.5 * 6 * 16  # in 16 rooms of a block; some find no place
+    low, high = pieces[:, None, :2], pieces[:, None, 2:]
+    gaps = np.maximum(pieces[None, :, :2] - high, low - pieces[None, :, 2:]).max(axis=2)
+    assert (gaps + 9.0 * np.eye(len(pieces))).min() >= 1.0
+    others = np.array([w for w in walls if not any(w is side or np.array_equal(w, side) for b in boxes for side in b)])
+    centres = 0.5 * (pieces[:, :2] + pieces[:, 2:])
+    reach = 0.5 * np.ptp(pieces.reshape(-1, 2, 2), axis=1).min(axis=1) + 1.0
+    assert all(point_segment_distance(c, others).min() >= least - 1e-9 for c, least in zip(centres, reach, strict=True))
+
+
+def test_a_campus_has_at_most_four_hundred_blocks():
+    with pytest.raises(InputError, match="blocks: found 21 x 20, allowed: at most 400 in all"):
+        replace(SMALL, blocks=(21, 20))
+
+
+# --- missions
+
+
+def hall(folder: Path, extra: str = "") -> Path:
+    return write(folder, "hall.toml", GOOD + ROOM + extra)
+
+
+def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(tmp_path: Path) -> None:
+    name = str(hall(tmp_path))
+    for task, goals in (("goal", [(4.5, 3.9)]), ("tour", [(4.5, 3.6), (2.5, 4.1)]), ("explore", [])):
+        config, task_ = mission_of(preset(scene=name, task=task))
+        assert task_.goals.tolist() == [list(goal) for goal in goals] and config.people is None
+        assert (task_.start, task_.radius_m, task_.walkers) == (Pose(2.3, 3.4, 0.7), 0.2, None)
+    own = {"scene": name, "start": (2.1, 3.1, -0.4), "robot": {"radius": 0.15}}
+    for task, given, goals in (
+        ("goal", {"goal": (3.5, 3.2)}, [[3.5, 3.2]]),
+        ("tour", {"tour": ((3.4, 3.2), (4.1, 3.3))}, [[3.4, 3.2], [4.1, 3.3]]),
+    ):
+        task_ = mission_of(preset(task=task, **own, **given))[1]
+        assert (task_.start, task_.radius_m, task_.goals.tolist()) == (Pose(2.1, 3.1, -0.4), 0.15, goals)
+    assert mission_of(preset(task="goal", scene="rectangle"), load_scene(name))[1].goals.tolist() == [[4.5, 3.9]]
+
+
+@pytest.mark.parametrize(("given", "said"), [
+    ({"task": "explore", "goal": (3.5, 3.2)}, "goal: found (3.5, 3.2) with task explore"),
+    ({"task": "goal", "tour": ((3.5, 3.2),)}, "tour: found 1 goals with task goal"),
+    ({"task": "goal", "robot": {"radius": 0.7}}, "goal: found (4.5, 3.9), 0.6 m from a wall"),
+    ({"task": "goal", "region": (1.6, 2.8, 4.4, 4.3)}, "goal: found (4.5, 3.9), outside the region"),
+    ({"task": "explore", "start": (9.0, 3.0, 0.4), "laser": {"max_range": 3.4}}, "start: found (9, 3), outside th"),
+    ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
+])  # fmt: skip
+def test_a_mission_that_cannot_be_is_refused_by_its_field(tmp_path: Path, given: dict, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        mission_of(preset(scene=str(hall(tmp_path)), **given))
+    assert said in str(caught.value)
+
+
+def test_a_start_outside_region_and_building_is_allowed_where_the_laser_reaches_a_wall(tmp_path: Path) -> None:
+    name = str(hall(tmp_path))
+    for laser_m, start, region in ((3.6, (9.0, 3.0, 0.4), None), (0.3, (3.5, 3.5, 0.4), (1.6, 2.8, 2.5, 4.3))):
+        mission_of(preset(scene=name, task="explore", start=start, region=region, laser={"max_range": laser_m}))
+
+
+def test_the_world_of_a_mission_has_its_seed_its_glass_and_its_people(tmp_path: Path) -> None:
+    name = str(hall(tmp_path, "glass = [[3.5, 2.5, 3.5, 4.5]]\n[[walkers]]\npoints = [[3.0, 3.0]]\n"))
+    config, task = mission_of(preset(scene=name, task="explore", seed=7))
+    assert config.people and mission_of(preset(scene=name, task="explore", people=False))[0].people is False
+    assert mission_of(preset(scene="rectangle", world={"walkers": 1}, task="explore"))[0].people
+    one, other, third = (task.world(replace(config, seed=seed)).step(Command()) for seed in (7, 7, 8))
+    assert np.array_equal(one.scan.ranges, other.scan.ranges) and not np.array_equal(one.scan.ranges, third.scan.ranges)
+    assert one.walkers.shape == (1, 3) and one.walkers[0, :2].tolist() == [3.0, 3.0]
+    world = replace_walkers(task).world(replace(config, start=None))
+    while not (tick := world.step(Command(0.3, -0.14))).collided:
+        last = tick
+    assert last.truth.x < 3.4
+    with pytest.raises(InputError, match=r"goal: found .*, which no way leads to"):
+        mission_of(preset(scene=name, task="goal"))
+
+
+def replace_walkers(task):
+    return task._replace(walkers=None)
+
+
+# --- goals that no way leads to
+
+
+@pytest.mark.parametrize(("gap", "is_reached"), [(0.0, False), (0.2, False), (0.45, True), (1.5, True)])
+def test_a_shaft_is_reached_through_a_door_that_the_robot_fits_through(gap, is_reached):
+    walls = np.array([*SQUARE, *SHAFT, [[3.0, 3.0 + gap], [3.0, 4.5]]], dtype=np.float64)
+    start, goals = np.array([1.0, 1.0]), np.array([[3.8, 3.8]])
+    parts = FreeParts(walls, np.vstack([start[None], goals]), 0.2)
+    assert parts.connected(start, goals).tolist() == [is_reached]
+
+
+def test_goals_of_every_shipped_scene_are_reached():
+    for name in SHIPPED:
+        if name == "campus":
+            continue  # takes longer than all others together
+        scene = load_scene(name)
+        for task, given in (("goal", scene.goal), ("tour", scene.tour)):
+            if given:
+                mission(scene, preset(scene=name, task=task))

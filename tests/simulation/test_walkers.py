@@ -1,0 +1,276 @@
+"""People in the simulated building: where they go, what the laser sees of them, and whom they touch."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scanned import box
+from scipy import stats
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.source import Command
+from sixthsense.simulation.scene import Scene, load_scene
+from sixthsense.simulation.walkers import Walkers, walkers_of
+from sixthsense.simulation.walking_space import ScriptedWalk, WalkingSpace, check_walks, read_walks
+from sixthsense.simulation.world import World
+
+CORNER = np.array([-2.3, 3.4])  # of the building, whose places are stated from there
+HALL = CORNER + box(0.0, 0.0, 8.0, 4.0)
+DIVIDED = np.concatenate([HALL, CORNER + np.array([[[4.0, 0.0], [4.0, 1.5]], [[4.0, 2.5], [4.0, 4.0]]])])
+WALLED = np.concatenate([HALL, CORNER + np.array([[[4.0, 0.0], [4.0, 4.0]]])])
+REGION = (-2.3, 3.4, 5.7, 7.4)
+AWAY = Pose(100.0, 100.0, 0.7)
+
+
+def at(x: float, y: float, theta: float = 0.7) -> Pose:
+    return Pose(x + CORNER[0], y + CORNER[1], theta)
+
+
+def walkers(*walks: ScriptedWalk, walls: Array = HALL, start: Pose = AWAY, seed: int = 1, **world: object) -> Walkers:
+    scene = Scene("hall", walls, start, 0.2, None, (), REGION, walkers=walks)
+    found = walkers_of(scene, preset(world=world, seed=seed), start, 0.2)
+    assert found is not None
+    return found
+
+
+def walk(*points: tuple[float, float], speed: float = 1.3, pauses: tuple[float, ...] | None = None) -> ScriptedWalk:
+    return ScriptedWalk(tuple(at(*point).position.tolist() for point in points), speed, pauses)
+
+
+def tracks(people: Walkers, seconds: float, robot: Pose = AWAY) -> Array:
+    """(S, N, 2) where they are, every tick of 0.02 s, beside a robot that stands."""
+    found = []
+    for _ in range(round(seconds / 0.02)):
+        people.step(robot, robot, 0.02)
+        found.append(people.at - CORNER)
+    return np.array(found)
+
+
+def test_distances_to_walls_are_those_of_a_plain_computation() -> None:
+    space = WalkingSpace(DIVIDED, REGION)
+    rows, cols = np.indices(space.free.shape)
+    centres = space.centres(np.stack([rows, cols], axis=-1).reshape(-1, 2))
+    plain = np.array([point_segment_distance(p, DIVIDED).min() >= 0.25 for p in centres])
+    assert np.array_equal(space.free.ravel(), plain)
+
+
+def test_a_way_is_as_short_as_dijkstras() -> None:
+    space = WalkingSpace(DIVIDED, REGION)
+    free, number = space.free, np.arange(space.free.size).reshape(space.free.shape)
+    ends, costs = [], []
+    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        for r, c in np.argwhere(free):
+            if not (0 <= r + down < free.shape[0] and 0 <= c + across < free.shape[1] and free[r + down, c + across]):
+                continue
+            if down and across and not (free[r, c + across] and free[r + down, c]):
+                continue
+            ends.append((number[r, c], number[r + down, c + across]))
+            costs.append(np.hypot(down, across))
+    graph = coo_array((costs, np.array(ends).T), shape=(free.size, free.size)).tocsr()
+    rng = np.random.default_rng(0)
+    cells = np.argwhere(free)[rng.integers(np.count_nonzero(free), size=(8, 2))]
+    for first, last in cells:
+        from sixthsense.simulation.walking_space import _STEPS, _search
+
+        before = np.full(free.shape, -1, dtype=np.int8)
+        assert _search(free, tuple(first), tuple(last), before)
+        cost, cell = 0.0, tuple(last)
+        while cell != tuple(first):
+            step = _STEPS[before[cell]]
+            cost, cell = cost + np.hypot(*step), (cell[0] - step[0], cell[1] - step[1])
+        shortest = dijkstra(graph, directed=False, indices=number[tuple(first)])[number[tuple(last)]]
+        assert cost == pytest.approx(shortest, abs=1e-6)
+        start, goal = space.centres(np.array([first, last]))
+        way = space.way(start, goal)
+        lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
+        assert np.array_equal(way[0], start) and np.array_equal(way[-1], goal)
+        assert math.dist(start, goal) - 1e-9 <= lengths.sum() <= 0.1 * shortest + 1e-9
+        assert len(way) <= 4  # straight but for the door
+
+
+def test_a_way_keeps_off_discs_and_goes_between_no_two_cells_that_meet_at_a_corner() -> None:
+    space = WalkingSpace(DIVIDED, REGION)
+    start, goal, disc = (at(*place).position for place in ((1.0, 2.3), (3.2, 2.2), (2.1, 2.0)))
+    direct, around = space.way(start, goal), space.way(start, goal, [(disc, 0.9)])
+    assert len(direct) == 2
+    ends = np.stack([around[:-1], around[1:]], axis=1)
+    assert point_segment_distance(disc, ends).min() == pytest.approx(0.9, abs=0.15)
+    space = WalkingSpace(DIVIDED, REGION)
+    space.free[:] = False
+    space.free[10:13, 10:13] = space.free[13:16, 13:16] = True
+    corner = space.centres(np.array([[11, 11], [14, 14]]))
+    assert space.way(*corner) is None
+
+
+def test_a_place_in_a_wall_is_reached_at_the_nearest_free_one_and_a_closed_room_is_not() -> None:
+    space = WalkingSpace(DIVIDED, REGION)
+    for place, is_free in (((3.7, 1.0), True), ((3.85, 1.0), False), ((-0.4, 1.0), False), ((2.0, 4.4), False)):
+        assert space.is_free(at(*place).position) == is_free
+    way = space.way(at(1.0, 3.0).position, at(4.1, 0.7).position)  # in the wall, nearer to the far room
+    assert way[-2][0] - CORNER[0] > 3.9 and len(way) > 2
+    closed = WalkingSpace(WALLED, REGION)
+    around = closed.around(at(1.0, 1.0).position)
+    assert around[:, :38].any() and not around[:, 40:].any()
+    assert closed.way(at(1.0, 1.0).position, at(6.0, 1.0).position) is None
+    assert [len(space.rooms(space.around(at(1.0, 1.0).position))), len(closed.rooms(around))] == [2, 1]
+
+
+def test_walks_that_cannot_be_are_refused_by_their_point() -> None:
+    check_walks([walk((1.0, 1.0), (3.0, 3.0)), walk((5.0, 1.0))], WALLED, REGION)
+    for points, said in (
+        (((1.0, 1.0), (5.0, 1.0)), r"walkers, entry 1, point 1: found no way from \(-1.3, 4.4\) to \(2.7, 4.4\)"),
+        (((1.0, 1.0), (3.87, 1.0)), r"walkers, entry 1, point 2: found \(1.57, 4.4\), in a wall"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_walks([walk(*points)], WALLED, REGION)
+    with pytest.raises(InputError, match="pauses: found 1, allowed: a time for each of the 2 way points"):
+        walk((1.0, 1.0), (3.0, 3.0), pauses=(2.0,))
+    with pytest.raises(InputError, match="walkers: found 201, allowed: at most 200"):
+        read_walks([{"points": [[2.0, 3.0]]}] * 201)
+
+
+def test_a_scripted_walk_has_its_speed_and_its_pause_at_each_point() -> None:
+    people = walkers(walk((1.0, 2.0), (3.0, 2.0), (3.0, 3.5), speed=1.6, pauses=(0.8, 1.5, 2.7)))
+    found = tracks(people, 14.0)[:, 0]
+    speeds = np.linalg.norm(np.diff(found, axis=0), axis=1) / 0.02
+    assert np.unique(speeds.round(6)).tolist() == pytest.approx([0.0, 1.6])
+    standing = np.concatenate([[0], np.flatnonzero(np.diff((speeds > 0.0).astype(int))) + 1])
+    spans = np.diff(standing) * 0.02
+    assert spans[0] == pytest.approx(0.8, abs=0.25)
+    assert [span for span, k in zip(spans, standing, strict=False) if not speeds[k]][1:4] == pytest.approx(
+        [1.5, 2.7, 0.8], abs=0.25
+    )
+    assert people.headings[0] == pytest.approx(people.headings[0]) and people.poses.shape == (1, 3)
+
+
+def test_people_from_room_to_room_have_speeds_and_pauses_of_a_range_and_begin_a_metre_apart() -> None:
+    speeds, pauses, apart = [], [], []
+    for seed in range(12):
+        people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=4, seed=seed)
+        places = np.vstack([at(1.0, 1.0).position, people.at])
+        apart.append(min(math.dist(a, b) for a, b in itertools.combinations(places, 2)))
+        found = tracks(people, 40.0)
+        off_walls = min(point_segment_distance(p + CORNER, DIVIDED).min() for p in found[::100].reshape(-1, 2))
+        assert off_walls > 0.25 - 0.08  # by cells of 0.1 m
+        moved = np.linalg.norm(np.diff(found, axis=0), axis=2) / 0.02
+        speeds += moved.max(axis=0).tolist()
+        pauses += [np.argmax(moved[:, k] > 0.0) * 0.02 for k in range(4)]
+    assert 1.0 <= min(apart) < 1.6
+    for values, low, high in ((speeds, 0.5, 1.5), (pauses, 0.0, 10.0)):
+        assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3
+        assert min(values) >= low and max(values) <= high + 0.3
+
+
+def test_someone_goes_to_another_room_each_time() -> None:
+    people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=1, seed=5)
+    found = tracks(people, 150.0)[:, 0]
+    stands = (np.linalg.norm(np.diff(found, axis=0), axis=1) == 0.0).astype(int)
+    begins = np.flatnonzero(np.diff(stands) == 1)
+    pauses = [k for k in begins if stands[k + 1 : k + 40].all()]
+    rooms = [bool(found[k, 0] > 4.0) for k in pauses]
+    assert len(rooms) > 6 and all(a != b for a, b in itertools.pairwise(rooms))
+
+
+def test_the_same_seed_gives_the_same_people_and_no_people_draw_nothing() -> None:
+    other_seed = walkers_of(load_scene("apartment"), preset(world={"walkers": 3}, seed=5), Pose(11.6, 0.8, 0.0), 0.18)
+    config = preset(world={"walkers": 3}, seed=4)
+    one, other = (walkers_of(load_scene("apartment"), config, Pose(11.6, 0.8, 0.0), 0.18) for _ in range(2))
+    assert one is not None and other is not None
+    assert other_seed is not None and not np.array_equal(one.at, other_seed.at)
+    assert np.array_equal(tracks(one, 20.0), tracks(other, 20.0))
+    assert walkers_of(load_scene("apartment"), preset(), Pose(11.6, 0.8, 0.0), 0.18) is None
+
+
+def test_two_people_who_meet_pass_each_other_on_the_right() -> None:
+    people = walkers(walk((1.0, 2.0), (7.0, 2.0)), walk((7.0, 2.0), (1.0, 2.0)))
+    found = tracks(people, 6.0)
+    assert found[:, 0, 0].max() > 6.5 and found[:, 1, 0].min() < 1.5
+    assert np.linalg.norm(found[:, 0] - found[:, 1], axis=1).min() > 0.5 - 0.15
+    meet = np.argmin(np.abs(found[:, 0, 0] - found[:, 1, 0]))
+    assert found[meet, 0, 1] < 2.0 < found[meet, 1, 1]
+
+
+def test_someone_stops_half_a_metre_before_the_robot_and_steps_aside_after_five_seconds() -> None:
+    people, robot = walkers(walk((1.0, 2.0), (7.0, 2.0), speed=1.0)), at(4.0, 2.0)
+    found = tracks(people, 17.0, robot)[:, 0]
+    gap = np.linalg.norm(found + CORNER - robot.position, axis=1) - 0.2 - 0.25
+    stands = np.flatnonzero(np.linalg.norm(np.diff(found, axis=0), axis=1) == 0.0)
+    waits = stands[stands > 50]
+    assert gap[waits[0]] == pytest.approx(0.6, abs=0.12)
+    assert 0.02 * (np.argmax(np.diff(waits) > 1) + 1) == pytest.approx(5.0, abs=0.15)
+    assert found[:, 0].max() > 6.5 and people.touches == [0, 0]
+
+
+def test_a_robot_that_drives_into_someone_who_stands_is_to_blame_and_again_after_a_gap() -> None:
+    people = walkers(walk((4.0, 2.0)))
+    way = [*np.arange(2.0, 3.7, 0.01), *np.arange(3.7, 3.52, -0.01), *np.arange(3.52, 3.7, 0.01)]
+    for x, after in itertools.pairwise(way):  # back by less than the gap, and again
+        people.step(at(x, 2.0), at(after, 2.0), 0.02)
+    assert people.touches == [1, 0]
+    for x, after in itertools.pairwise([*np.arange(3.7, 3.4, -0.01), *np.arange(3.4, 3.7, 0.01)]):
+        people.step(at(x, 2.0), at(after, 2.0), 0.02)
+    assert people.touches == [2, 0]
+
+
+def test_a_blind_walker_who_is_faster_than_the_robot_that_it_meets_is_to_blame() -> None:
+    for walker_mps, robot_mps, touches in ((1.3, 0.4, [0, 1]), (1.3, 0.0, [0, 1]), (0.4, 1.3, [1, 0])):
+        people = walkers(walk((1.0, 2.0), (7.0, 2.0), speed=walker_mps), walkers_blind=True)
+        step = 0.02 * robot_mps
+        for k in range(200):
+            people.step(at(6.0 - k * step, 2.0), at(6.0 - (k + 1) * step, 2.0), 0.02)
+            if any(people.touches):
+                break
+        assert people.touches == touches
+        assert math.dist(people.at[0], at(6.0 - (k + 1) * step, 2.0).position) > 0.2 + 0.25 - 0.03
+
+
+def test_one_leg_stands_while_the_other_swings_beside_the_body() -> None:
+    people = walkers(walk((1.0, 1.0), (7.0, 3.0)))
+    tracks(people, 0.4)
+    heading = math.atan2(2.0, 6.0)
+    ahead, aside, seen = [], [], []
+    for _ in range(40):
+        before, body = people.legs(), people.at
+        tracks(people, 0.02)
+        moved = (people.legs()[:, :2] - before[:, :2]) / 0.02
+        seen.append(np.abs(np.linalg.norm(moved, axis=1) - np.linalg.norm(before[:, 3:], axis=1)).max())
+        offset = before[:, :2] - body
+        ahead.append(offset @ [math.cos(heading), math.sin(heading)])
+        aside.append(offset @ [-math.sin(heading), math.cos(heading)])
+    assert people.headings[0] == pytest.approx(heading, abs=0.03)
+    assert np.median(seen) < 1e-6  # they move as is said, but where they change
+    assert np.allclose(np.abs(aside), 0.1, atol=0.02) and np.abs(np.sum(ahead, axis=1)).max() < 1e-9
+    assert np.max(ahead) == pytest.approx(0.2, abs=0.02)
+    assert np.sort(np.hypot(before[:, 3], before[:, 4])) == pytest.approx([0.0, 2.6], abs=1e-6)
+    assert before[:, 2].tolist() == [0.06, 0.06]
+
+
+def test_a_scan_sees_the_legs_as_discs_and_the_draws_of_the_noise_stay_the_same() -> None:
+    start = at(1.0, 2.0, 0.4)
+    scene = Scene("hall", HALL, start, 0.2, None, (), REGION, walkers=(walk((3.0, 2.0)),))
+    config = preset(world={"laser": {"range_m": 1e-4}}, laser={"mount": (0.1, -0.2, 0.5), "beams": 1440})
+    people = walkers_of(scene, config, start, 0.2)
+    seen, clear = (
+        World(HALL, start, 0.2, config, np.random.default_rng(1), walkers=p).step(Command()) for p in (people, None)
+    )
+    nearer = seen.scan.ranges != clear.scan.ranges
+    points, legs = start @ seen.scan.points_robot[nearer], people.legs()[:, :2]
+    to_legs = np.linalg.norm(points[:, None] - legs[None], axis=2)
+    assert np.allclose(to_legs.min(axis=1), 0.06, atol=1e-3) and (to_legs.min(axis=0) < 0.061).all()
+    assert np.array_equal(seen.walkers, people.poses) and clear.walkers is None
+
+
+def test_people_walk_by_the_time_of_a_control_tick_and_their_touches_are_told() -> None:
+    start = at(4.0, 2.0)
+    scene = Scene("hall", HALL, start, 0.2, None, (), REGION, walkers=(walk((1.0, 2.0), (7.0, 2.0)),))
+    config = preset("noiseless", world={"walkers_blind": True}, robot={"control_period_s": 0.04})
+    people = walkers_of(scene, config, start, 0.2)
+    source = World(HALL, start, 0.2, config, np.random.default_rng(1), walkers=people)
+    ticks = [source.step(Command()) for _ in range(100)]
+    speeds = np.linalg.norm(np.diff([tick.walkers[0, :2] for tick in ticks], axis=0), axis=1) / 0.04
+    assert speeds.max() == pytest.approx(1.3) and ticks[-1].touches == (0, 1)
