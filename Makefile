@@ -46,11 +46,12 @@ notebooks: $(VENV)/installed  ## run every notebook, as CI does, longer cells cu
 kernels: $(VENV)/installed  ## compile the Numba kernels once, before two processes each do
 	$(BIN)/python -c "from sixthsense.running.warmup import warm_up, warm_up_scans; warm_up(); warm_up_scans()"
 
-check: $(VENV)/installed  ## style, types, imports
+check: $(VENV)/installed  ## style, types, imports, structure and budget of code lines
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -q -n 0 tests/test_house.py
 
 mutants: $(VENV)/installed  ## FILE=, a file or a folder of the package: which small wrong changes of it does no test see? SINCE=REV SAMPLE=N SEED=S
 	$(BIN)/python tests/mutants.py $(FILE) $(if $(SINCE),--since $(SINCE)) $(if $(SAMPLE),--sample $(SAMPLE)) $(if $(SEED),--seed $(SEED))

@@ -1,9 +1,12 @@
-"""The structure of the package, checked on its syntax trees: rooms, imports, sizes."""
+"""The structure of the package, checked on its syntax trees: rooms, imports, sizes, budget of code lines."""
 
 import ast
 import graphlib
+import io
 import re
+import tokenize
 import tomllib
+from collections import Counter
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -11,6 +14,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "sixthsense"
 EXCEPTIONS = "## Exceptions to the limits"
+BUDGET = "## Budget of code lines"
+LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+"""tokens that do not make a line a code line"""
 
 MAX_FUNCTION_LINES = 60
 MAX_PARAMETERS = 8
@@ -118,11 +124,57 @@ def beyond_limits() -> dict[str, int]:
     return {f"{name}: {limit}": found for (name, limit), (found, allowed) in sizes.items() if found > allowed}
 
 
+def rows_of_table(heading: str) -> list[tuple[str, ...]]:
+    """Cells of the rows of three columns in a section of CONTRIBUTING.md, but for the table's first two lines."""
+    _, _, section = (ROOT / "CONTRIBUTING.md").read_text().partition(f"\n{heading}\n")
+    return re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \|$", section.partition("\n## ")[0], re.MULTILINE)[2:]
+
+
 def listed_exceptions() -> dict[str, str]:
-    """Reason of each exception by "name: limit", from the table in CONTRIBUTING.md."""
-    _, _, section = (ROOT / "CONTRIBUTING.md").read_text().partition(f"\n{EXCEPTIONS}\n")
-    rows = re.findall(r"^\| `(.+?)` \| (.+?) \| (.+?) \|$", section.partition("\n## ")[0], re.MULTILINE)
-    return {f"{name}: {limit}": reason for name, limit, reason in rows}
+    """Reason of each exception by "name: limit"."""
+    return {f"{name.strip('`')}: {limit}": reason for name, limit, reason in rows_of_table(EXCEPTIONS)}
+
+
+def budget() -> dict[str, tuple[list[str], int]]:
+    """Rooms of each group, and how many code lines they may have together."""
+    return {
+        group: (re.findall(r"`(.+?)`", rooms), int(lines.replace(",", "")))
+        for group, rooms, lines in rows_of_table(BUDGET)
+    }
+
+
+def code_lines(text: str) -> int:
+    """Lines of a module that are not blank, a comment or part of a docstring."""
+    counted: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in LAYOUT:
+            counted.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            assert node.end_lineno is not None
+            counted.difference_update(range(node.lineno, node.end_lineno + 1))
+    return len(counted)
+
+
+@cache
+def code_lines_of_folders() -> dict[str, int]:
+    """Code lines by the folder of the package that they lie in, `sixthsense` itself included, and by that beside it."""
+    lines: Counter[str] = Counter()
+    for top in ("sixthsense", "tests", "benchmarks", "notebooks"):
+        for path in (ROOT / top).rglob("*.py"):
+            parts = path.relative_to(ROOT).parts[:-1]
+            lines["/".join(parts[: 2 if top == "sixthsense" else 1])] += code_lines(path.read_text())
+    return dict(lines)
+
+
+def beyond_budget(lines: dict[str, int]) -> dict[str, int]:
+    """By how many lines groups exceed their numbers; by all of its lines each folder that is in no group."""
+    groups = budget()
+    excess = {name: sum(lines.get(one, 0) for one in rooms) - allowed for name, (rooms, allowed) in groups.items()}
+    grouped = {one for rooms, _ in groups.values() for one in rooms}
+    return {name: count for name, count in excess.items() if count > 0} | {
+        f"{folder}, in no group": count for folder, count in lines.items() if folder not in grouped
+    }
 
 
 def test_two_modules_at_most_lie_beside_the_rooms() -> None:
@@ -161,6 +213,23 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 def test_what_exceeds_a_limit_is_listed_with_a_reason() -> None:
     assert set(beyond_limits()) == set(listed_exceptions())
     assert all(listed_exceptions().values())
+
+
+def test_each_group_of_rooms_keeps_its_budget_of_code_lines() -> None:
+    assert beyond_budget(code_lines_of_folders()) == {}
+
+
+def test_a_line_too_many_and_a_room_in_no_group_exceed_the_budget() -> None:
+    lines = {room: 0 for rooms, _ in budget().values() for room in rooms}
+    lines["sixthsense/core"] = budget()["core"][1]
+    assert beyond_budget(lines) == {}
+    lines["sixthsense/core"] += 1
+    assert beyond_budget(lines | {"sixthsense/attic": 3}) == {"core": 1, "sixthsense/attic, in no group": 3}
+
+
+def test_code_lines_are_those_without_blank_lines_comments_and_docstrings() -> None:
+    text = '"""One\n\ntwo."""\n\nx = 1  # three\n# four\ny = (\n    """five\n    six""",\n)\nx: int\n"""seven"""\n'
+    assert code_lines(text) == 6
 
 
 def test_folders_of_tests_have_the_names_of_rooms() -> None:
