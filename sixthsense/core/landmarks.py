@@ -44,19 +44,6 @@ class WallShape(NamedTuple):
     """of the amplitudes, by the laser's noise; infinite where they are not known"""
 
 
-class Bend(NamedTuple):
-    """The error that the shape of a landmark makes where it was seen, which stays while the same of it is seen."""
-
-    cov: Array
-    """(2, 2) part of the observation's"""
-    renewal: Array
-    """(2, 2) covariance of its difference from that of the landmark's last observation"""
-    stretch: int = 0
-    """number, among those of its landmark, of the stretch and side that was seen"""
-    stretch_kept: float = 1.0
-    """its correlation with that of the stretch, 0 to 1"""
-
-
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One landmark as one scan saw it."""
@@ -73,8 +60,6 @@ class Observation:
     are not known; for evaluation only, not recorded"""
     shape: WallShape = field(default=WallShape(), repr=False, compare=False)
     """of a wall; not recorded"""
-    bend: Bend | None = field(default=None, repr=False, compare=False)
-    """of a wall that is not straight, or of a point whose error partly stays; not recorded"""
     sensor: SensorTerms | None = field(default=None, repr=False, compare=False)
     """its dependence on the sensor's parameters, if these are estimated; not recorded"""
 

@@ -193,22 +193,6 @@ def _particles(rng: np.random.Generator) -> tuple[Array, float]:
     return weights / weights.sum(), rng.uniform(0.1, 0.9)
 
 
-def _extents(rng: np.random.Generator) -> tuple[Any, ...]:
-    first, second = np.sort(rng.uniform(0.0, 4.0, 2)), np.sort(rng.uniform(1.0, 5.0, 2))
-    return first, second + np.array([0.0, 0.5]), rng.uniform(0.1, 0.9)
-
-
-def _kept(first: Array, second: Array, turn: float) -> float:
-    common = max(0.0, min(first[1], second[1]) - max(first[0], second[0]))
-    either = max(first[1], second[1]) - min(first[0], second[0])
-    return float(common / either * math.exp(-((turn / 0.5) ** 2)))
-
-
-def _of_second(first: Array, second: Array, turn: float) -> float:
-    common = max(0.0, min(first[1], second[1]) - max(first[0], second[0]))
-    return float(common / (second[1] - second[0]) * math.exp(-((turn / 0.5) ** 2)))
-
-
 def _judge_estimator(estimator: Any) -> str:
     from sixthsense.testing import check_estimator
 
@@ -418,34 +402,6 @@ EXERCISES = (
                 "the pose has three numbers before the first landmark",
                 lambda P, k: np.delete(np.delete(P, [2 * k, 2 * k + 1], 0), [2 * k, 2 * k + 1], 1),
             ),
-        ),
-    ),
-    Exercise(
-        "kept",
-        ("correlation",),
-        _extents,
-        _kept,
-        (
-            Mistake("the share is of what either sees, not of the second alone", _of_second),
-            Mistake(
-                "the factor of the turn falls too fast for small turns",
-                lambda a, b, t: _kept(a, b, 0.0) * math.exp(-t / 0.5),
-            ),
-            Mistake("the side from which the wall is seen is left out", lambda a, b, t: _kept(a, b, 0.0)),
-        ),
-    ),
-    Exercise(
-        "widened",
-        ("covariance",),
-        lambda rng: (cov(rng, 2), rng.uniform(0.1, 0.9), cov(rng, 2)),
-        lambda P, rho, V: P + 2.0 * (1.0 - rho) * V,
-        (
-            Mistake(
-                "two errors differ, the old one and the new one: this is half of it",
-                lambda P, rho, V: P + (1.0 - rho) * V,
-            ),
-            Mistake("what is kept adds nothing, what is new does", lambda P, rho, V: P + 2.0 * rho * V),
-            Mistake("the variance of the old error is not subtracted again", lambda P, rho, V: P + (1.0 - rho**2) * V),
         ),
     ),
     Exercise(

@@ -23,7 +23,6 @@ from sixthsense.core.source import Closure
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.association.seen_through import Returns
 from sixthsense.slam.estimators import Estimate, Estimator, Smoother
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
@@ -132,9 +131,7 @@ class LandmarkFrontEnd:
         if self._guide is not None:  # which has compared the whole scan
             self._proposed.place(self._guide.proposal(), self._estimator.estimate())
             return self._associator.associate(features.observations, self._estimator, self._proposed)
-        points = evidence.scan.points_robot
-        returns = Returns(evidence.scan.T_robot_laser.position, points[np.isfinite(points).all(axis=1)])
-        return self._associator.associate(features.observations, self._estimator, returns=returns)
+        return self._associator.associate(features.observations, self._estimator)
 
     def _updated(self, association: Association, closures: Sequence[Closure] | None) -> Estimate:
         self._estimator.update(association.observations)

@@ -13,11 +13,11 @@ from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.front_end import FrontEnd
 from sixthsense.slam.scans.place_search import PlaceSearch
-from sixthsense.testing import apparent, contract, edges, posterior, walls
+from sixthsense.testing import contract, edges, posterior, walls
 from sixthsense.testing.estimation import make
 from sixthsense.testing.laws import Verdicts, verdicts_of
 
-INTERFACE = (*contract.LAWS, *edges.LAWS, *walls.LAWS, *walls.WALLS, *apparent.LAWS)
+INTERFACE = (*contract.LAWS, *edges.LAWS, *walls.LAWS, *walls.WALLS)
 LAWS = (*posterior.LAWS, *INTERFACE, *edges.VALIDATION, *walls.VALIDATION)
 """of estimators"""
 

@@ -255,9 +255,6 @@ BROKEN = [
     (5, views_of("trajectory"), "returned_arrays_are_copies"),
     (5, LATE, "arguments_may_change_after_the_call"),
     (6, broken(estimate=moves_at_random), "the_same_input_gives_the_same_bits"),
-    (2, broken(update=lambda own, call, seen: call({i: replace(s, cov=1.01 * s.cov) if s.bend else s
-                                                    for i, s in seen.items()})),
-     "an_error_of_shape_without_a_size_changes_no_bit"),
     (7, broken(__init__=instead(np.eye(3))), "an_invalid_start_covariance_is_named [not finite]"),
     (7, broken(predict=instead(step())),
      "an_invalid_odometry_covariance_is_named_and_changes_nothing [an eigenvalue of -0.01]"),

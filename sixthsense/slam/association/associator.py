@@ -15,8 +15,6 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.covariance import SIGNIFICANT, difference_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.slam.association.corners import Scatter
-from sixthsense.slam.association.displacement import Displacement
 from sixthsense.slam.association.matching import Matches, Usual, compare_known, match
 from sixthsense.slam.association.named import Contradictions
 from sixthsense.slam.association.observed import (
@@ -30,8 +28,7 @@ from sixthsense.slam.association.observed import (
     joined,
 )
 from sixthsense.slam.association.proposed import ProposedLandmarks
-from sixthsense.slam.association.records import Association, Crookedness, Footprint, Record, less_certain, unit_cov
-from sixthsense.slam.association.seen_through import Returns
+from sixthsense.slam.association.records import Association, Crookedness, Record, less_certain
 from sixthsense.slam.association.slip import matches_after_slip
 from sixthsense.slam.association.unknown import UnknownPoints
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
@@ -70,10 +67,7 @@ class Associator:
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
-        self._of_stretches = Displacement()
-        self._scatter = Scatter()
-        self._of_sides = Displacement()
-        self._unknown = UnknownPoints(config.new_separation_m)
+        self._unknown = UnknownPoints()
         self._prior, self._are_free = frozenset(self.records), are_free
         self._contradictions = Contradictions(config.known_probability)
 
@@ -82,12 +76,10 @@ class Associator:
         observations: Sequence[Observation],
         estimator: Belief,
         proposed: ProposedLandmarks | None = None,
-        returns: Returns | None = None,
     ) -> Association:
         """Match observations with landmarks, all at once; what is far from all landmarks is a new one.
 
-        The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator. With the
-        `returns` of the scan, what lies behind a known wall contradicts its match.
+        The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator.
         """
         self._scan += 1
         estimate = estimator.estimate()
@@ -98,12 +90,11 @@ class Associator:
         observed = Observed.of(observations)
         is_point = ~observed.walls
         points = observed.z[is_point]
-        of_points = self._unknown.density(points)
-        usual = Usual(self._crookedness.excess, self._of_stretches.square_m2, self._of_sides.square_m2, of_points)
+        usual = Usual(self._crookedness.excess, self._unknown.density(points))
         extents = self._extents(estimate) if proposed is None else proposed.extents
 
         def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents, self.records, usual, self._config, returns)
+            return match(observed, belief, estimate, extents, self.records, usual, self._config)
 
         slip = None
         if proposed is None:
@@ -113,48 +104,17 @@ class Associator:
         self._unknown.add(points, matches.landmark[is_point] < 0)
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
-        self._count_new_sides(observations, matches, estimate)
-        self._count_new_stretches(observations, matches, estimate.pose)
-        updated = estimate.pose if proposed is not None else matches.pose
-        known, pieces = self._seen_again(observations, matches, estimate, updated)
+        known, pieces = self._seen_again(observations, matches, estimate)
         nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
         new, more = self._start_landmarks(observations, observed, np.flatnonzero(matches.is_new).tolist(), estimate)
         accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
         discarded = len(observations) - len(accepted) - pieces
         return Association(accepted, discarded, nis, dof, pieces, slip)
 
-    def _count_new_sides(self, observations: Sequence[Observation], matches: Matches, estimate: Estimate) -> None:
-        """Learn from what is seen from new sides how many are other points, and how far the same ones are off."""
-        places = matches.places
-        rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        for i, (k, log_density) in matches.new_sides.items():
-            assert matches.innovations is not None
-            seen = observations[k]
-            x, y = (estimate.pose.position - estimate.landmarks[rows[i]]).tolist()
-            if self.records[i].corner.counts(math.atan2(y, x)):
-                is_same = self._unknown.add_new_side(log_density)
-                if is_same == 0.0:
-                    continue
-                squared, information = matches.innovations.without(seen, places[i], seen.cov, np.eye(2))
-                self._of_sides.add(squared, information, is_same)
-
-    def _count_new_stretches(self, observations: Sequence[Observation], matches: Matches, pose: Pose) -> None:
-        """Learn from walls that are seen elsewhere than before how far they are off there."""
-        places = matches.places
-        for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
-            if i >= 0 and observation.is_wall and self.records[i].is_new_stretch(pose, observation):
-                assert matches.innovations is not None
-                unit = unit_cov(*observation.extent, True)
-                cov = observation.cov + self.records[i].shape.square_m2(self._crookedness.excess) * unit
-                self._of_stretches.add(*matches.innovations.without(observation, places[i], cov, unit))
-
     def _seen_again(
-        self, observations: Sequence[Observation], matches: Matches, estimate: Estimate, updated: Pose
+        self, observations: Sequence[Observation], matches: Matches, estimate: Estimate
     ) -> tuple[dict[LandmarkId, Observation], int]:
-        """The observations of known landmarks, and how many further ones were fused with these.
-
-        Where points are is compared with where they were, as seen from the pose that the matches imply, `updated`.
-        """
+        """The observations of known landmarks, and how many further ones were fused with these."""
         known: dict[LandmarkId, Observation] = {}
         for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
             if i >= 0:
@@ -166,15 +126,9 @@ class Associator:
             record.observations += 1
             record.last_scan = self._scan
             if observation.is_wall:
-                seen = less_certain(observation, self._square_m2(record))
-                known[i] = record.seen_again(seen, estimate.pose, estimate.landmarks[rows[i]])
-            else:
-                known[i] = record.corner.seen(observation, updated, self._scatter, self._of_sides.square_m2)
+                known[i] = less_certain(observation, record.shape.square_m2(self._crookedness.excess))
+                record.seen_again(observation, estimate.pose, estimate.landmarks[rows[i]])
         return known, pieces
-
-    def _square_m2(self, record: Record) -> float:
-        """Mean square of the deviation of a wall from the line that was fitted to a stretch of it."""
-        return record.shape.square_m2(self._crookedness.excess) + self._of_stretches.square_m2
 
     def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
         """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones.
@@ -321,16 +275,8 @@ class Associator:
             record.shape.add(observation.shape)
             if observation.is_wall:
                 record.extent = ends(estimate.pose, observation)
-                record.footprint = Footprint.of(estimate.pose, record.extent)
-        squares = {i: self._square_m2(self.records[i]) for i in new}
-        for i in new:
-            if (footprint := self.records[i].footprint) is not None:
-                self.records[i].stretch_of(footprint)
-        appear = {i: less_certain(seen, squares[i]) for i, seen in new.items() if seen.is_wall}
-        for i, seen in new.items():
-            if not seen.is_wall:
-                appear[i] = self.records[i].corner.seen(seen, estimate.pose, self._scatter, self._of_sides.square_m2)
-        return {i: appear[i] for i in new}, pieces
+        excess = self._crookedness.excess
+        return {i: less_certain(seen, self.records[i].shape.square_m2(excess)) for i, seen in new.items()}, pieces
 
     def _are_one(self, one: Observation, other: Observation) -> bool:
         """Whether two observations of one scan, neither of a known landmark, are of one landmark."""

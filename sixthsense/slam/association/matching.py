@@ -24,8 +24,7 @@ from sixthsense.slam.association.joint_assignment import (
 )
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record, unit_cov
-from sixthsense.slam.association.seen_through import Returns, lengths_seen, offset_variances
-from sixthsense.slam.association.unknown import UnknownDensity
+from sixthsense.slam.association.unknown import least_densities
 from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
@@ -37,11 +36,8 @@ class Usual(NamedTuple):
 
     excess: tuple[float, float]
     """how crooked walls are, as of `Crookedness`"""
-    wall_m2: float
-    """mean square of the error by which one stretch of a wall is off another one"""
-    point_m2: float
-    """that of one side of a point"""
-    unknown: UnknownDensity
+    unknown_per_m2: float
+    """density of unknown points"""
 
 
 class Innovations(NamedTuple):
@@ -60,40 +56,11 @@ class Innovations(NamedTuple):
     walls: Mask
     """(k,) which of the landmarks are walls"""
 
-    def without(self, observation: Observation, j: int, cov: Array, unit: Array) -> tuple[float, float]:
-        """Squared innovation of an observation with another `cov` (2, 2), and how that grows with multiples of `unit`.
-
-        The latter, for a `unit` (2, 2) of 1 m^2, is half of what its mean gains per m^2 of these, 1/m^2.
-        """
-        at = slice(2 * j, 2 * j + 2)
-        z, predicted, walls = (np.stack([one, one]) for one in (observation.z, self.predicted[j], self.walls[j]))
-        values, (own, of_unit) = innovations_of(z, np.stack([cov, unit]), predicted, walls)
-        information = np.linalg.inv(self.pairs.predicted[at, at] + own)
-        return float(values[0] @ information @ values[0]), 0.5 * float(np.trace(information @ of_unit))
-
     def pose_given(self, pose: Pose, matched: Indices) -> Pose:
         """The predicted `pose` updated with matches (m,), -1: none; report eq. 10."""
         values, S, places = self._together(matched)
         x, y, theta = (np.linalg.solve(S, values) @ self.with_pose[places]).tolist()
         return Pose(pose.x + x, pose.y + y, pose.theta + theta)
-
-    @property
-    def own(self) -> Array:
-        """(k, 2, 2) covariance of each predicted observation."""
-        k = np.arange(len(self.predicted))
-        return self.pairs.predicted.reshape(len(k), 2, len(k), 2)[k, :, k]
-
-    def given(self, matched: Indices) -> tuple[Array, Array, Array]:
-        """Predictions (k, 2) updated with matches (m,), -1: none, their covariances (k, 2, 2), and the pose's (3, 3).
-
-        The latter is how much less it is than without the matches.
-        """
-        values, S, places = self._together(matched)
-        with_matched = self.pairs.predicted[:, places].reshape(len(self.predicted), 2, len(places))
-        predicted = self.predicted + with_matched @ np.linalg.solve(S, values)
-        covs = self.own - with_matched @ np.linalg.solve(S, with_matched.transpose(0, 2, 1))
-        with_pose = self.with_pose[places]
-        return predicted, covs, with_pose.T @ np.linalg.solve(S, with_pose)
 
     def worth(self, matched: Indices, gate: float) -> float:
         """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
@@ -197,14 +164,6 @@ def _nis(values: Array, S: Array) -> float:
     return float(flat @ np.linalg.solve(S, flat))
 
 
-class NewSide(NamedTuple):
-    """What is seen from a new side beside a known point, as an observation of this point."""
-
-    observation: int
-    log_density: float
-    """logarithm of the density of its innovation, 1/m^2; minus infinity of one that is too far to be this point"""
-
-
 class Matches(NamedTuple):
     """Of m observations, those of known landmarks and those of new ones."""
 
@@ -220,8 +179,6 @@ class Matches(NamedTuple):
     """that the matches imply"""
     worth: float
     """twice the logarithm of how much likelier they are than observations at the gate"""
-    new_sides: Mapping[LandmarkId, NewSide]
-    """what is seen beside points that were not seen from this side before"""
 
     @property
     def places(self) -> dict[LandmarkId, int]:
@@ -244,13 +201,12 @@ def match(
     records: Mapping[LandmarkId, Record],
     usual: Usual,
     cfg: AssociationConfig,
-    returns: Returns | None = None,
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
     `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
     its walls, and `usual` says what landmarks are like. The `records` of those that were compared are told how certain
-    these are. With the `returns` of the scan, no wall is matched that it would see through.
+    these are.
     """
     m = len(observed.z)
     own = [records[i] for i in estimate.ids.tolist()]
@@ -258,120 +214,42 @@ def match(
     sigmas = observed.sigmas_m(estimate.pose_cov)
     distances = Distances.at(estimate.pose, observed, estimate, extents)
     plausible = distances.plausible(sigmas, known_sigmas, math.sqrt(estimate.pose_cov[2, 2]), cfg)
-    is_near = np.asarray(plausible.any(axis=0))
-    near = np.flatnonzero(is_near)
+    near = np.flatnonzero(plausible.any(axis=0))
     joint = np.ascontiguousarray(belief.joint_covariance(estimate.ids[near].tolist()))
     if not len(near):
-        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0, {})
+        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0)
     for j, k in enumerate(near.tolist()):
         own[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
-    is_new_side = np.array([_is_new_side(own[k], estimate.landmarks[k], estimate.pose) for k in near.tolist()])
     squares = np.array([own[k].shape.square_m2(usual.excess) for k in near.tolist()])
-    squares += np.where(estimate.walls[near], usual.wall_m2, np.where(is_new_side, 2.0 * usual.point_m2, 0.0))
     innovations = compare(observed, squares, estimate, near, joint)
     gaps, plausible = distances.gap_m[:, near], plausible[:, near]
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
-    least = usual.unknown.least(innovations.walls, is_new_side, cfg.match_odds)
+    least = least_densities(usual.unknown_per_m2, innovations.walls, cfg.match_odds)
     found = likely_matches(innovations.pairs, found, least)
-    if returns is not None:
-        found = _not_through_walls(innovations, found, returns, estimate, extents[near], squares, cfg)
-    beside = _new_sides(innovations, is_new_side, distances.metres[:, near], found, cfg)
-    new_sides = {int(near[j]): seen for j, seen in beside.items()}
     is_matched = found >= 0
     is_far = ~is_matched & (squared_given(innovations.pairs, plausible, found).min(axis=1) > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
-    is_new, others = _new_ones(observed, replace(estimate, pose=here), extents, own, is_matched, is_far, is_near, cfg)
-    new_sides = {int(estimate.ids[k]): seen for k, seen in (others | new_sides).items()}
+    is_new = _new_ones(observed, replace(estimate, pose=here), extents, is_matched, is_far, cfg)
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
     worth = innovations.worth(found, cfg.match_gate)
-    return Matches(landmark, is_new, estimate.ids[near], innovations, here, worth, new_sides)
-
-
-def _not_through_walls(
-    innovations: Innovations,
-    found: Indices,
-    returns: Returns,
-    estimate: Estimate,
-    extents: Array,
-    squares_m2: Array,
-    cfg: AssociationConfig,
-) -> Indices:
-    """(m,) the matches without those of walls that the robot would see through, rather than see.
-
-    Only walls (k,) are asked whose gate, before the matches, is wider than landmarks are apart: the others could not be
-    mistaken. `squares_m2` (k,) are those of `compare`.
-    """
-    ends = estimate.pose.inverse() @ extents
-    gates = cfg.match_gate * offset_variances(innovations.predicted, innovations.own, ends.mean(axis=1))
-    is_doubtful = innovations.walls & (gates > cfg.new_separation_m**2)
-    kept = found.copy()
-    while is_doubtful[kept[kept >= 0]].any():
-        lines, covs, fall = innovations.given(kept)
-        covs[:, 1, 1] += squares_m2
-        ends = innovations.pose_given(estimate.pose, kept).inverse() @ extents
-        left = estimate.pose_cov - fall
-        along_m = math.sqrt(max(left[0, 0] + left[1, 1], 0.0))
-        through_m, seen_m = lengths_seen(returns, lines, covs, ends, along_m, cfg.match_gate).transpose(1, 0, 2)
-        is_open = is_doubtful & (through_m > np.maximum(seen_m, cfg.new_separation_m)).all(axis=1)
-        is_wrong = (kept >= 0) & is_open[kept]
-        if not is_wrong.any():
-            break
-        kept[is_wrong] = -1
-    return kept
+    return Matches(landmark, is_new, estimate.ids[near], innovations, here, worth)
 
 
 def _new_ones(
-    observed: Observed,
-    estimate: Estimate,
-    extents: Array,
-    own: Sequence[Record],
-    is_matched: Mask,
-    is_far: Mask,
-    is_near: Mask,
-    cfg: AssociationConfig,
-) -> tuple[Mask, dict[int, NewSide]]:
-    """(m,) which observations are of new landmarks, and others of these than points (n,) that are seen from a new side.
+    observed: Observed, estimate: Estimate, extents: Array, is_matched: Mask, is_far: Mask, cfg: AssociationConfig
+) -> Mask:
+    """(m,) which observations are of new landmarks.
 
-    The estimate has the pose that the matches imply. `is_matched` and `is_far` (m,) mark observations, those outside of
-    the gate of all landmarks; `is_near` (n,) marks the landmarks that were compared. The records are `own`.
+    The estimate has the pose that the matches imply. `is_matched` and `is_far` (m,) mark observations, the latter those
+    outside of the gate of all landmarks.
     """
     is_beside = ~Distances.at(estimate.pose, observed, estimate, extents).apart(cfg)
     is_apart = ~is_beside.any(axis=1)
     contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
-    if np.count_nonzero(is_matched) <= contradicting:
-        return is_far & is_apart, {}
-    # Most of the scan matches: then a wall may be beside a known one, and a point beside one that was not seen from
-    # this side; else these show that the pose is wrong.
-    is_beside[observed.walls] = False
-    pairs = np.argwhere(is_beside).tolist()
-    from_new_side = [(i, k) for i, k in pairs if _is_new_side(own[k], estimate.landmarks[k], estimate.pose)]
-    for i, k in from_new_side:
-        is_beside[i, k] = False
-    is_new = is_far & ~is_beside.any(axis=1)
-    return is_new, {k: NewSide(i, -math.inf) for i, k in from_new_side if is_new[i] and not is_near[k]}
-
-
-def _is_new_side(record: Record, place: Array, pose: Pose) -> bool:
-    """Whether a point at `place` (2,) was seen, but not from the side where `pose` is; False of a wall."""
-    return record.corner.is_new_side(math.atan2(pose.y - place[1], pose.x - place[0]))
-
-
-def _new_sides(
-    innovations: Innovations, is_new_side: Mask, metres: Array, found: Indices, cfg: AssociationConfig
-) -> dict[int, NewSide]:
-    """What is seen from a new side beside points (k,), by their place among these.
-
-    What is another one by the gate has to be possible beside it: there the gate's ellipse is smaller than the disc in
-    which a point is beside another one. `metres` are (m, k).
-    """
-    ellipses = cfg.new_gate * np.exp(0.5 * innovations.log_det)
-    is_told = is_new_side & (metres <= cfg.new_separation_m) & (ellipses <= cfg.new_separation_m**2)
-    is_told &= (found[:, None] < 0) | (found[:, None] == np.arange(len(is_new_side)))
-    nearest = np.where(is_told, innovations.squared, np.inf).argmin(axis=1)
-    log_density = -math.log(2.0 * math.pi) - 0.5 * (innovations.squared + innovations.log_det)
-    rows = np.flatnonzero(is_told.any(axis=1)).tolist()
-    return {int(nearest[i]): NewSide(i, float(log_density[i, nearest[i]])) for i in rows}
+    # Where most of the scan matches, a wall may be beside a known one; else these show that the pose is wrong.
+    may_be_beside = observed.walls & (np.count_nonzero(is_matched) > contradicting)
+    return is_far & (is_apart | may_be_beside)
 
 
 @numba.njit(cache=True, error_model="numpy")

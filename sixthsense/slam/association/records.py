@@ -3,9 +3,6 @@
 A bend that the returns of one scan do not show turns the fitted line by several of its sigmas. The shape of a wall does
 not depend on where the robot is, so that it is averaged over all observations of a landmark. A line that is fitted to
 another part of a crooked wall differs from the landmark by about as much as the wall deviates from the line.
-
-That error is not drawn anew with each scan. It stays while the same stretch is seen from the same side. What a filter
-estimates is therefore the wall as it was seen last, which changes as the stretch that is seen moves on.
 """
 
 from __future__ import annotations
@@ -13,39 +10,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from sixthsense.core.covariance import SIGNIFICANT, mean_square_limit
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Bend, Kind, LandmarkId, Observation, WallShape
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, WallShape
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.corners import MEMORY, Corner
 from sixthsense.slam.association.observed import ends, joined
 
+MEMORY = 500.0
+"""observations over which the shape of walls is averaged"""
 _TILT = 3.0
 """variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
 _LARGEST = 25.0
 """of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
-_SIDE_RAD = 0.5
-"""turn of the side that a wall is seen from, after which its shape looks another by 1 / e"""
-
-
-class Footprint(NamedTuple):
-    """What was seen of a wall at once."""
-
-    ends: Array
-    """(2, 2), world frame"""
-    side_rad: float
-    """direction from its middle to the robot, world frame"""
-
-    @classmethod
-    def of(cls, pose: Pose, ends: Array) -> Footprint:
-        """That of a wall with these ends (2, 2), seen from `pose`."""
-        (x, y), (other_x, other_y) = ends.tolist()
-        return cls(ends, math.atan2(pose.y - 0.5 * (y + other_y), pose.x - 0.5 * (x + other_x)))
 
 
 class Crookedness:
@@ -109,18 +89,11 @@ class MeanShape:
         return total
 
 
-def correlation(before: Footprint, now: Footprint) -> float:
-    """Of the errors that a wall's shape makes in two observations: the share that both see, times one of the side."""
-    turn = math.remainder(now.side_rad - before.side_rad, 2.0 * math.pi)
-    return _overlap(before.ends, now.ends) * math.exp(-((turn / _SIDE_RAD) ** 2))
-
-
 def less_certain(observation: Observation, square_m2: float) -> Observation:
     """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
     if square_m2 == 0.0 or not observation.is_wall:
         return observation
-    cov = square_m2 * unit_cov(*observation.extent, True)
-    return replace(observation, cov=observation.cov + cov, bend=Bend(cov, 2.0 * cov))
+    return replace(observation, cov=observation.cov + square_m2 * unit_cov(*observation.extent, True))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -136,16 +109,6 @@ def unit_cov(first: float, last: float, is_wall: bool) -> Array:
         cov[0, 1] = cov[1, 0] = middle * of_tilt
         cov[1, 1] = 1.0 + middle * middle * of_tilt
     return cov
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _overlap(before: Array, now: Array) -> float:
-    """Intersection over union of two stretches with the ends (2, 2) each, along the second."""
-    x, y = now[1, 0] - now[0, 0], now[1, 1] - now[0, 1]
-    a, b = before[0, 0] * x + before[0, 1] * y, before[1, 0] * x + before[1, 1] * y
-    c, d = now[0, 0] * x + now[0, 1] * y, now[1, 0] * x + now[1, 1] * y
-    either = max(a, b, c, d) - min(a, b, c, d)
-    return max(0.0, min(max(a, b), max(c, d)) - max(min(a, b), min(c, d))) / either if either > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,39 +147,8 @@ class Record:
     """(2, 2) ends of what was seen of a wall, world frame; unused for a point"""
     shape: MeanShape = field(default_factory=MeanShape)
     """of a wall"""
-    footprint: Footprint | None = None
-    """of the last observation of a wall; None of a wall of an earlier run"""
-    stretches: list[Footprint] = field(default_factory=list)
-    """of a wall that is not straight: what was seen of it at once, each hardly like the others"""
-    corner: Corner = field(default_factory=Corner, repr=False, compare=False)
-    """of a point; not recorded"""
 
-    def is_new_stretch(self, pose: Pose, observation: Observation) -> bool:
-        """Whether this wall was seen, but neither just before nor ever the stretch that is observed from `pose`."""
-        if self.footprint is None:
-            return False
-        now = Footprint.of(pose, ends(pose, observation))
-        return all(correlation(before, now) <= 0.5 for before in (self.footprint, *self.stretches))
-
-    def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
-        """An observation of this wall (2,) from `pose`, with what its shape's error has in common with the last one."""
-        seen = ends(pose, observation)
+    def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> None:
+        """Record an observation of this wall (2,) from `pose`."""
         self.shape.add(observation.shape)
-        self.extent = joined(wall, self.extent, seen)
-        before, self.footprint = self.footprint, Footprint.of(pose, seen)
-        stretch = self.stretch_of(self.footprint)
-        if observation.bend is None:
-            return observation
-        kept = 0.0 if before is None else correlation(before, self.footprint)
-        alike = correlation(self.stretches[stretch], self.footprint)
-        # Of two errors of one variance.
-        cov = observation.bend.cov
-        return replace(observation, bend=Bend(cov, 2.0 * (1.0 - kept) * cov, stretch, alike))
-
-    def stretch_of(self, seen: Footprint) -> int:
-        """Number of the stretch that is most like what was seen; a new one, if none has most of its error."""
-        alike = [correlation(stretch, seen) for stretch in self.stretches]
-        if alike and max(alike) > 0.5:
-            return alike.index(max(alike))
-        self.stretches.append(seen)
-        return len(self.stretches) - 1
+        self.extent = joined(wall, self.extent, ends(pose, observation))

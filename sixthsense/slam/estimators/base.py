@@ -55,8 +55,8 @@ class Estimator(Belief, Protocol):
     """Simultaneous localisation and mapping from odometry and observations with known association.
 
     1. `predict` never shrinks the joint covariance; many may precede an update.
-    2. `update` takes each observation as independent but for its `bend`, which may be left out of account: the error
-       of a shape stays. An unknown id, a forgotten one too, is a new landmark, augmented after all updates.
+    2. `update` takes each observation as independent. An unknown id, a forgotten one too, is a new landmark, augmented
+       after all updates.
     3. An empty update leaves the covariance alone.
     4. `joint_covariance` is symmetric and positive semi-definite, begins with `pose_cov` and follows the order asked.
     5. Returned arrays are copies.

@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dpotrf
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovations_of, stacked, translations
-from sixthsense.core.landmarks import Bend, LandmarkId, Observation
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import turned_covariance
@@ -56,8 +56,6 @@ class EKF:
         """(n, 2) of walls, or zero; zero for points"""
         self._anchors = np.zeros((0, 2))
         """(n, 2) means as first estimated, for variants that linearize there"""
-        self._shapes = np.zeros((0, 2, 2))
-        """(n, 2, 2) of points: covariance of the error that stays, by which a point appears elsewhere than it is"""
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
@@ -76,7 +74,6 @@ class EKF:
         to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
         self._cov = np.asfortranarray(block_diag(self._cov, to_start @ prior.cov @ to_start.T))
         self._means, self._anchors, self._walls = means, means.copy(), prior.walls.copy()
-        self._shapes = np.zeros((len(means), 2, 2))
         self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
@@ -124,7 +121,7 @@ class EKF:
         kept = np.concatenate([np.arange(self._head), self._places(slots)])
         self._cov = selected(self._cov.T, kept).T
         self._means, self._anchors = self._means[slots], self._anchors[slots]
-        self._walls, self._centres, self._shapes = self._walls[slots], self._centres[slots], self._shapes[slots]
+        self._walls, self._centres = self._walls[slots], self._centres[slots]
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
     def estimate(self) -> Estimate:
@@ -144,8 +141,6 @@ class EKF:
             at = slice(3 + 2 * k, 5 + 2 * k)
             joint[at] = jacobian[k] @ joint[at]
             joint[:, at] = joint[:, at] @ jacobian[k].T
-        for k in np.flatnonzero(self._shapes[slots].any(axis=(1, 2))):
-            joint[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] += self._shapes[slots[k]]
         return joint
 
     def trajectory(self) -> Array:
@@ -225,10 +220,6 @@ class EKF:
         pose = self._pose.x, self._pose.y, self._pose.theta
         predicted, by_pose, by_landmark = expected(pose, self._means[slots], *points, walls, self._centres[slots])
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
-        for k, observation in enumerate(observations):
-            if (bend := observation.bend) is not None:
-                cov[k] -= bend.cov
-                self._renew(int(slots[k]), bend, by_landmark[k])
         innovation, noise = innovations_of(z, cov, predicted, walls)
         H = stacked(by_pose, by_landmark, self._head)  # the non-zero columns of H
         for k, observation in enumerate(observations):
@@ -242,17 +233,6 @@ class EKF:
         W = dtrsm(1.0, root, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, 2m)
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
         return np.asarray(W @ dtrsm(1.0, root, innovation.reshape(-1, 1), lower=1)[:, 0])
-
-    def _renew(self, slot: int, bend: Bend, by_landmark: Array) -> None:
-        """Make a landmark that is seen otherwise than before less certain.
-
-        The landmark is what was last seen of it: the line or the point, and the error of its shape there. How that
-        error has changed is new to the state, while an error of shape that stays is no evidence again.
-        """
-        at, back = self._head + 2 * slot, np.linalg.inv(by_landmark)
-        self._cov[at : at + 2, at : at + 2] += back @ bend.renewal @ back.T
-        if not self._walls[slot]:
-            self._shapes[slot] = back @ bend.cov @ back.T
 
     def _augment(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Append new landmarks, initialized at the pose of this update."""
@@ -279,5 +259,4 @@ class EKF:
         self._centres = np.vstack([self._centres, *(landmark.centre for landmark in new)])
         self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in new)])
         self._walls = np.concatenate([self._walls, [seen.is_wall for seen in observations.values()]])
-        self._shapes = np.concatenate([self._shapes, np.zeros((k, 2, 2))])
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(observations)}

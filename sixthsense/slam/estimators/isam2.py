@@ -1,9 +1,4 @@
-"""Incremental smoothing with GTSAM's ISAM2: all key poses and landmarks at once (Kaess et al., IJRR 31(2), 2012).
-
-A wall that is not straight is observed as it appears. An apparent wall is the wall and an error of its shape. That
-stays while the same stretch is seen from the same side. It is a variable of its own, so that an error that stays is no
-new evidence of the wall. So is an apparent point, from the same side.
-"""
+"""Incremental smoothing with GTSAM's ISAM2: all key poses and landmarks at once (Kaess et al., IJRR 31(2), 2012)."""
 
 from __future__ import annotations
 
@@ -20,7 +15,7 @@ from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovations_of, seen_from_each
-from sixthsense.core.landmarks import Bend, LandmarkId, Observation
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.slam.estimators.base import (
@@ -43,9 +38,7 @@ from sixthsense.slam.estimators.isam2_factors import (
     prior_frames,
     prior_jacobians,
     seen_point,
-    side_factor,
     start_factor,
-    stretch_factor,
     to_pose,
     to_pose2,
     wall_factor,
@@ -325,9 +318,6 @@ class Observations:
             is_new = i not in self._landmarks.keys
             if is_new:
                 self._landmarks.add(i, guess, observation, waiting.values)
-            if (bend := observation.bend) is not None and self._is_unseen(i, observation, bend):
-                self._add_apparent(i, guess, observation, bend, waiting)
-                self._append(NONE, i, observation, True)  # a factor between a landmark and what is seen of it
             waiting.graph.add(self._factor(i, (int(X(pose)), guess), observation, is_new, waiting.values))
             self._append(pose, i, observation, is_new)
 
@@ -377,38 +367,12 @@ class Observations:
         self._rows[self._count] = (pose, i, NONE, seen.is_wall, is_first, seen.z, seen.cov)
         self._count += 1
 
-    def _is_unseen(self, i: LandmarkId, observation: Observation, bend: Bend) -> bool:
-        """Whether what is seen of a landmark has no variable, though its error stays."""
-        if observation.is_wall:
-            return (i, bend.stretch) not in self._landmarks.stretches
-        return bool(bend.cov.any()) and (i, bend.stretch) not in self._landmarks.sides
-
-    def _add_apparent(
-        self, i: LandmarkId, guess: Pose, observation: Observation, bend: Bend, waiting: Unsolved
-    ) -> None:
-        if not observation.is_wall:
-            key = self._landmarks.next_side(i, bend.stretch)
-            waiting.values.insert(key, guess @ observation.z)
-            waiting.graph.add(side_factor(self._landmarks.keys[i], key, guess, bend.cov))
-            return
-        wall, key = self._landmarks.keys[i], self._landmarks.next_stretch(i, bend.stretch)
-        of_bend = replace(observation, cov=bend.cov)
-        frame, factor = stretch_factor((wall, self._frame(wall, waiting.values)), key, guess, of_bend)
-        waiting.values.insert(key, to_pose2(frame))
-        waiting.graph.add(factor)
-
     def _factor(
         self, i: LandmarkId, pose: tuple[int, Pose], observation: Observation, is_new: bool, values: gtsam.Values
     ) -> gtsam.NonlinearFactor:
         key = self._landmarks.keys[i]
         if not observation.is_wall:
-            if (bend := observation.bend) is not None and bend.cov.any():
-                key = self._landmarks.sides[i, bend.stretch]
-                observation = replace(observation, cov=observation.cov - bend.stretch_kept**2 * bend.cov)
             return seen_point(key, pose[0], observation, self._solution.sensor, self._loss)
-        if (bend := observation.bend) is not None:
-            key = self._landmarks.stretches[i, bend.stretch]
-            observation = replace(observation, cov=observation.cov - bend.stretch_kept**2 * bend.cov)
         if self._solution.wheels is not None and not is_new:
             return exact_factor(key, pose[0], observation, self._loss)
         return wall_factor((key, self._frame(key, values)), pose, observation, is_new, self._loss)

@@ -142,34 +142,6 @@ def measurement(pose: Pose, frame: Pose, observation: Observation, is_first: boo
     return Pose(x=along) @ to_centre, to_centre.adjoint() / sigmas[:, None]
 
 
-def stretch_factor(
-    wall: tuple[int, Pose], key: int, pose: Pose, observation: Observation
-) -> tuple[Pose, gtsam.NonlinearFactor]:
-    """The frame of an apparent wall that is observed from `pose`, and its factor, with the key of the wall's variable.
-
-    The covariance of the observation is that of its bend alone.
-    An apparent wall is the wall and an error of its shape. Its origin is where a turn and a shift by that error are
-    independent.
-    """
-    wall_key, frame = wall
-    x, y = observed_centre(observation)
-    centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)
-    place = Pose(x=(frame.inverse() @ pose @ centre).x)
-    _, of_turn, of_shift = line_errors(observation.cov)
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([FIRST_M, math.sqrt(of_shift), math.sqrt(of_turn)]))
-    return frame @ place, gtsam.BetweenFactorPose2(wall_key, key, to_pose2(place), noise)
-
-
-def side_factor(point: int, key: int, pose: Pose, cov: Array) -> gtsam.NonlinearFactor:
-    """The factor between a point and how it appears from a side, the variables with these keys.
-
-    Their difference has the covariance (2, 2), axes of the robot at `pose`.
-    """
-    turn = rotation(pose.theta)
-    noise = noise_of(floored(turn @ cov @ turn.T))
-    return gtsam.BetweenFactorPoint2(point, key, np.zeros(2), noise)
-
-
 def lines(frames: Array) -> tuple[Array, Array]:
     """(n, 2) walls (alpha, d) of frames (n, 3), and their Jacobians (n, 2, 3) by the frames, in each frame's axes."""
     alpha = wrap_angle(frames[:, 2] + 0.5 * math.pi)

@@ -13,7 +13,7 @@ from typing import Any, Literal, cast
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import K, L, V, W, X
+from gtsam.symbol_shorthand import L, W, X
 from numpy.typing import NDArray
 
 from sixthsense.config import ISAM2Config
@@ -62,16 +62,12 @@ class Landmarks:
     """(n,) which of them are walls"""
     by_tangent: dict[LandmarkId, Array] = field(default_factory=dict)
     """(2, 3) or (2, 2) Jacobian of a landmark by its variable's tangent in GTSAM"""
-    stretches: dict[tuple[LandmarkId, int], int] = field(default_factory=dict)
-    """keys of the apparent walls: stretches of a wall that is not straight, by its id and the stretch's number"""
-    sides: dict[tuple[LandmarkId, int], int] = field(default_factory=dict)
-    """keys of the apparent points: sides of a point whose error partly stays, by its id and the side's number"""
     means: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) at the last solution"""
     frames: dict[int, list[float]] = field(default_factory=dict)
-    """x, y and theta of the walls and the apparent walls at the last solution, by their keys"""
+    """x, y and theta of the walls at the last solution, by their keys"""
     made: int = 0
-    """number of landmarks and apparent ones so far, forgotten ones included"""
+    """number of landmarks so far, forgotten ones included"""
 
     def add(self, i: LandmarkId, guess: Pose, observation: Observation, values: gtsam.Values) -> None:
         """Add a landmark that is observed from `guess`, and its initial value to `values`."""
@@ -88,18 +84,6 @@ class Landmarks:
         self.made += 1
         return self.keys[i]
 
-    def next_stretch(self, i: LandmarkId, stretch: int) -> int:
-        """The key of a stretch that is new."""
-        self.stretches[i, stretch] = key = int(V(self.made))
-        self.made += 1
-        return key
-
-    def next_side(self, i: LandmarkId, side: int) -> int:
-        """The key of a side that is new."""
-        self.sides[i, side] = key = int(K(self.made))
-        self.made += 1
-        return key
-
     def drop(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks."""
         is_kept = ~np.isin(self.ids, list(ids))
@@ -108,8 +92,6 @@ class Landmarks:
         self.ids, self.walls = self.ids[is_kept], self.walls[is_kept]
         for i in ids:
             del self.keys[i]
-        self.stretches = {at: key for at, key in self.stretches.items() if at[0] in self.keys}
-        self.sides = {at: key for at, key in self.sides.items() if at[0] in self.keys}
 
 
 class Solver:
@@ -403,17 +385,14 @@ class Solution:
         if not len(is_wall):
             return
         points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
-        # In the order of their keys: the letters of apparent walls, of walls and of poses, then the number.
-        apparent = len(landmarks.stretches)
-        frames, self._in_graph = np.split(self._in_graph, [apparent + np.count_nonzero(is_wall)])
+        # In the order of their keys: the letters of walls and of poses, then the number.
+        frames, self._in_graph = np.split(self._in_graph, [np.count_nonzero(is_wall)])
         keys = [key for key, wall in zip(landmarks.keys.values(), is_wall.tolist(), strict=True) if wall]
-        landmarks.frames = dict(zip([*landmarks.stretches.values(), *keys], frames.tolist(), strict=True))
-        means, axes = lines(frames[apparent:])
+        landmarks.frames = dict(zip(keys, frames.tolist(), strict=True))
+        means, axes = lines(frames)
         landmarks.means = np.empty((len(is_wall), 2))
-        # GTSAM adds empty rows to the points for vectors of another size: wheels. The letter of apparent points is the
-        # first of all points.
-        of_points = points[len(landmarks.sides) : len(landmarks.sides) + np.count_nonzero(~is_wall)]
-        landmarks.means[is_wall], landmarks.means[~is_wall] = means, of_points
+        # GTSAM adds empty rows to the points for vectors of another size: wheels.
+        landmarks.means[is_wall], landmarks.means[~is_wall] = means, points[: np.count_nonzero(~is_wall)]
         of_walls = iter(axes)
         landmarks.by_tangent = {
             i: next(of_walls) if wall else _POINT for i, wall in zip(landmarks.keys, is_wall.tolist(), strict=True)

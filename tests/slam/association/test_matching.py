@@ -7,8 +7,7 @@ from scipy.linalg import block_diag
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmark_kernels import innovations_of, predictions, stacked
 from sixthsense.core.landmarks import Kind, Observation
-from sixthsense.slam.association.joint_assignment import Pairs
-from sixthsense.slam.association.matching import Innovations, compare
+from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Observed
 from sixthsense.slam.association.records import unit_cov
 from sixthsense.slam.estimators.base import Estimate
@@ -59,36 +58,6 @@ def test_innovations_of_all_pairs(case):
             S = predicted[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] + noise[i, j]
             assert found.squared[i, j] == pytest.approx(values[i, j] @ np.linalg.solve(S, values[i, j]))
             assert found.log_det[i, j] == pytest.approx(np.linalg.slogdet(S).logabsdet)
-
-
-@pytest.mark.parametrize(("i", "j"), [(2, 1), (0, 0), (1, 3)])
-def test_a_squared_innovation_with_another_covariance_and_how_its_mean_grows_with_a_part_of_that(case, i, j):
-    seen, estimate, joint = case
-    found = compare(Observed.of(seen), SQUARES, estimate, np.arange(4), joint)
-    unit, cov = unit_cov(*seen[i].extent, seen[i].is_wall), 0.6 * seen[i].cov
-    about = [innovations_of(seen[i].z[None], one[None], found.predicted[j : j + 1], found.walls[j : j + 1])
-             for one in (cov, unit)]  # fmt: skip
-    S, value = found.pairs.predicted[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] + about[0][1][0], about[0][0][0]
-    squared, growth = found.without(seen[i], j, cov, unit)
-    assert squared == pytest.approx(value @ np.linalg.solve(S, value))
-    step = 1e-7 * about[1][1][0]
-    assert growth == pytest.approx(0.5 * np.trace(np.linalg.solve(S, S + step) - np.eye(2)) / 1e-7, rel=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_displacement_never_makes_an_innovation_smaller(seed):
-    """Also that of a short wall far off, whose tilt weighs most, seen at another angle."""
-    rng = np.random.default_rng(seed)
-    wall, first = np.array([0.4, 6.0]), rng.uniform(-9.0, 9.0)
-    extent = (first, first + 0.2)
-    unit, noise = unit_cov(*extent, True), 1e-6 * unit_cov(first - 0.05, first + 0.3, True)
-    z = wall + rng.normal(0.0, [0.1, 0.3])
-    observation = Observation(Kind.WALL, z, noise, extent)
-    predicted, own = wall[None], np.zeros((1, 1))
-    pairs = Pairs(np.zeros((1, 1, 2)), np.zeros((1, 1, 2, 2)), 1e-5 * np.eye(2))
-    found = Innovations(pairs, own, own, np.zeros((2, 3)), predicted, np.ones(1, dtype=bool))
-    squared, growth = found.without(observation, 0, noise, unit)
-    assert squared > 0.0 and growth > 0.0
 
 
 def test_the_pose_and_the_squared_innovation_of_matches_together(case):

@@ -8,15 +8,13 @@ from scipy import stats
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Bend, Kind, Observation, WallShape, line_point
+from sixthsense.core.landmarks import Kind, Observation, WallShape, line_point
 from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Distances, Observed, collinear_pairs, ends, joined
 from sixthsense.slam.association.records import (
     Crookedness,
-    Footprint,
     MeanShape,
     Record,
-    correlation,
     less_certain,
     unit_cov,
 )
@@ -150,31 +148,12 @@ def test_walls_are_crooked_by_what_exceeds_the_mean_square_of_noise():
     assert Crookedness().excess == (0.0, 0.0)
 
 
-def test_errors_of_shape_are_alike_by_the_share_that_both_see_and_by_the_turn_of_the_side():
-    line = np.array([2.4, -1.3])
-    before = Footprint(np.array([line_point(line, 0.2), line_point(line, 1.4)]), 3.0)
-    now = Footprint(np.array([line_point(line, 2.2), line_point(line, 0.8)]), -3.05)
-    turn = 2.0 * math.pi - 6.05
-    assert correlation(before, now) == pytest.approx(0.6 / 2.0 * math.exp(-((turn / 0.5) ** 2)))
-    apart = now._replace(ends=np.array([line_point(line, 1.5), line_point(line, 2.0)]))
-    assert correlation(before, apart) == 0.0
-    seen = Footprint.of(POSE, before.ends)
-    middle = before.ends.mean(axis=0)
-    assert seen.side_rad == pytest.approx(math.atan2(POSE.y - middle[1], POSE.x - middle[0]))
-
-
-def test_a_wall_that_is_seen_again_keeps_its_extent_and_the_stretch_that_is_most_like_it():
+def test_the_extent_of_a_wall_that_is_seen_again_reaches_as_far_as_both_observations():
     landmark = np.array([wrap_angle(0.4 + POSE.theta), 0.0])
-    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8), bend=Bend(np.eye(2), 2.0 * np.eye(2)))
+    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8))
     landmark[1] = ends(POSE, wall)[0] @ [math.cos(landmark[0]), math.sin(landmark[0])]
     record = Record(Kind.WALL, 1, 1, 1, extent=ends(POSE, wall))
-    first = record.seen_again(wall, POSE, landmark)
-    assert first.bend.renewal == pytest.approx(2.0 * np.eye(2)) and first.bend[2:] == (0, 1.0)
-    longer = Observation(Kind.WALL, wall.z, np.eye(2), (0.3, 2.0), bend=Bend(np.eye(2), 2.0 * np.eye(2)))
-    again = record.seen_again(longer, POSE, landmark)
-    both = Footprint.of(POSE, ends(POSE, wall)), Footprint.of(POSE, ends(POSE, longer))
-    renewal = 2.0 * (1.0 - correlation(*both)) * np.eye(2)
-    assert again.bend.renewal == pytest.approx(renewal) and again.bend.stretch == 1
+    record.seen_again(Observation(Kind.WALL, wall.z, np.eye(2), (0.3, 2.0)), POSE, landmark)
     whole = [POSE @ line_point(wall.z, place) for place in (-0.5, 2.0)]
     assert sorted(record.extent.tolist()) == pytest.approx(np.array(sorted(whole, key=tuple)))
 

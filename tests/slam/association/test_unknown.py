@@ -13,7 +13,7 @@ from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.joint_assignment import Pairs, likely_matches
-from sixthsense.slam.association.unknown import UnknownDensity, UnknownPoints
+from sixthsense.slam.association.unknown import UnknownPoints, least_densities
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.testing.sight import predict_points
 
@@ -79,8 +79,8 @@ def test_each_landmark_has_a_limit_of_its_own_and_the_match_goes_first_that_lack
 
 
 def test_the_density_of_unknown_points_is_that_of_those_without_a_match_over_the_disc_of_all():
-    unknown = UnknownPoints(0.4)
-    assert unknown.density(np.zeros((0, 2))).anywhere == 0.0
+    unknown = UnknownPoints()
+    assert unknown.density(np.zeros((0, 2))) == 0.0
     first, second, now = np.array([[1.2, -0.4], [2.1, 3.3]]), np.array([[-3.7, 0.9]]), np.array([[0.3, 2.2]])
     unknown.add(first, np.array([True, True]))
     unknown.add(second, np.array([False]))
@@ -88,29 +88,14 @@ def test_the_density_of_unknown_points_is_that_of_those_without_a_match_over_the
     squares = keep * (1.2**2 + 0.4**2 + 2.1**2 + 3.3**2) + 3.7**2 + 0.9**2 + 0.3**2 + 2.2**2
     area = math.pi * 2.0 * squares / (keep * 2 + 2)
     expected = (keep * 2 + 1) / 100.0 / area
-    assert unknown.density(now).anywhere == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_sight_from_a_new_side_counts_as_another_point_by_the_probability_of_that():
-    unknown = UnknownPoints(0.4)
-    disc = math.pi * 0.16
-    assert unknown.density(np.zeros((1, 2))).beside == pytest.approx(0.5 / disc)
-    unknown.add_new_side(math.log(7.0))  # per m^2, if it is the known point
-    first = (0.5 / disc) / (0.5 / disc + 0.5 * 7.0)
-    share = (first + 1.0) / 3.0
-    assert unknown.share_of_others == pytest.approx(share)
-    unknown.add_new_side(-1000.0)
-    assert unknown.share_of_others == pytest.approx((0.998 * first + 1.0 + 1.0) / (0.998 + 1.0 + 2.0))
-    assert unknown.density(np.zeros((1, 2))).beside == pytest.approx(unknown.share_of_others / disc)
-    assert UnknownPoints(0.0).density(np.zeros((1, 2))).beside == 0.0
+    assert unknown.density(now) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_least_density_of_a_match_is_that_of_unknown_points_times_the_odds():
-    walls, is_new_side = np.array([False, False, True]), np.array([False, True, True])
-    least = UnknownDensity(0.03, 1.9).least(walls, is_new_side, 50.0)
-    np.testing.assert_allclose(least, [math.log(1.5), math.log(96.5), -math.inf])
-    assert np.all(UnknownDensity(0.03, 1.9).least(walls, is_new_side, 0.0) == -math.inf)
-    assert UnknownDensity(0.0, 0.0).least(walls, is_new_side, 50.0)[1] == -math.inf
+    walls = np.array([False, True])
+    np.testing.assert_allclose(least_densities(0.03, walls, 50.0), [math.log(1.5), -math.inf])
+    assert np.all(least_densities(0.03, walls, 0.0) == -math.inf)
+    assert least_densities(0.0, walls, 50.0)[0] == -math.inf
 
 
 def returned(name, sigma_m, seen, odds=1000.0):
