@@ -29,7 +29,7 @@ from sixthsense.evaluation.summary import summary
 from sixthsense.evaluation.tables import html_table, text_table
 from sixthsense.record.writing import FolderLock
 from sixthsense.running.progress import progress_bar
-from sixthsense.running.warmup import COMPILING, is_compiled
+from sixthsense.running.warmup import prepare
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,8 +69,8 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
             save_folder(out, campaign, saved)
             execution.say(f"all {len(runs)} runs are already in {out}/")
             return
-        if not is_compiled():
-            execution.say(COMPILING)
+        if execution.scheduler is None:
+            prepare(execution.say)  # once, not by each worker
         with Processes(execution.workers) if execution.scheduler is None else connect(execution.scheduler) as executor:
             dashboard = ""
             if isinstance(executor, Cluster):

@@ -24,7 +24,7 @@ from typing import Any, Protocol, TypeVar
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.core.interrupt import terminal_blocked
+from sixthsense.loop.interrupt import terminal_blocked
 from sixthsense.record.writing import naming
 
 T = TypeVar("T")

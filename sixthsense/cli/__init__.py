@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from sixthsense.config.errors import InputError, PartError, nearest
 from sixthsense.config.version import __version__
-from sixthsense.core.interrupt import command_signals
+from sixthsense.loop.interrupt import command_signals
 
 if TYPE_CHECKING:
     from sixthsense.cli.options import Options
@@ -92,10 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             signals.is_over = True
             _say("sixthsense: interrupted")
             code = INTERRUPTED
-        signals.is_over = True
-        code = signals.exit_code(_flushed(code))
-        signals.is_last = argv is None
-    return code
+        signals.is_over, signals.is_last = True, argv is None
+        return signals.exit_code(_flushed(code))
 
 
 def command_class(name: str) -> type[Options]:

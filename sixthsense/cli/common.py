@@ -31,7 +31,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
 from sixthsense.config.parts import FRONT_ENDS
 from sixthsense.config.section import shown
-from sixthsense.core.interrupt import is_command_ended
+from sixthsense.loop.interrupt import is_command_ended
 from sixthsense.simulation.scene_files import scene_file
 from sixthsense.view import VIEW_TARGETS, is_view_target
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
-from sixthsense.core.interrupt import terminal_blocked
 from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Network, Node
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.loop.interrupt import terminal_blocked
 from sixthsense.record.messages import MAP_UPDATE, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.slam.mapping.changes import Box, Revision, box_of

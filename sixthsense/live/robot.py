@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.se2 import turned_covariance
 from sixthsense.core.source import Command, Tick
@@ -21,6 +20,7 @@ from sixthsense.live.network import Message
 from sixthsense.live.offset import ClockOffset
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.requests import Request, Reset, SetPose
+from sixthsense.loop.interrupt import is_command_ended
 from sixthsense.record.trace import Trace
 from sixthsense.slam.relocalization import MOST_DRIVEN_M, Relocalizer
 

@@ -17,7 +17,6 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown, shown_name
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
-from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.live.ahead_pilot import AheadPilot
@@ -34,6 +33,7 @@ from sixthsense.logs.log import found_turns
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.logs.rosbag import described_laser
 from sixthsense.logs.transforms import FramePair, TransformTree
+from sixthsense.loop.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.loop.run import OnTick, combined_hooks, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard

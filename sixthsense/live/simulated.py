@@ -12,13 +12,13 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
-from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.loop.interrupt import deferred_interrupt
 from sixthsense.record.exports import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace

@@ -13,11 +13,11 @@ from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
-from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.logs.log import Log, Playback, Relations
 from sixthsense.logs.replay_input import recorded_scene
+from sixthsense.loop.interrupt import deferred_interrupt
 from sixthsense.loop.own_parts import OwnParts
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard

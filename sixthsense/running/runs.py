@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from sixthsense.config import Config
 from sixthsense.config.files import path_of
-from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.loop.interrupt import deferred_interrupt
 from sixthsense.running.progress import Bar, live_status, progress, seen_area
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from sixthsense.core import interrupt
+from sixthsense.loop import interrupt
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.slam.estimators.ekf import EKF
 
@@ -50,7 +50,7 @@ def test_a_folder_is_replayed_with_its_own_configuration_and_fields_over_it(fold
 
 
 def test_an_interrupted_run_is_handed_over_as_far_as_it_came_and_can_be_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(interrupt, "_last_s", -np.inf)
+    monkeypatch.setattr(interrupt._signals, "ctrl_c_s", -np.inf)
 
     def press(tick, trace):
         if len(trace.stamps_ns) == 20:
@@ -99,9 +99,3 @@ def test_where_nobody_looks_on_a_run_says_nothing_and_where_it_shall_it_shows_a_
     bar = said(True)
     assert "rectangle, tour" in bar and "of 3 s" in bar
     assert said(True, TQDM_DISABLE="1") == ""
-
-
-def test_a_process_with_ompl_ends_without_a_word() -> None:
-    code = "from ompl import base; from sixthsense.running.warmup import _keep_imports; _keep_imports()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -14,11 +14,11 @@ import sixthsense as ss
 from sixthsense import cli
 from sixthsense.config import merge
 from sixthsense.config.errors import InputError
-from sixthsense.core import interrupt
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
 from sixthsense.logs.log import Log
 from sixthsense.logs.replay_input import ReplayInput, open_recorded
+from sixthsense.loop import interrupt
 from sixthsense.record.folder import RunFolder
 from sixthsense.running.merging import Merged, _going_on, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
@@ -131,7 +131,7 @@ def test_a_second_run_that_no_link_joins_to_the_first_is_refused_even_if_the_fir
     with RunFolder(here / "both", monday.config) as folder, pytest.raises(InputError, match="could be linked"):
         replay_merged(joined(monday, recorded(runs / "other")), folder, QUIET)
     assert list(here.iterdir()) == []
-    monkeypatch.setattr(interrupt, "_last_s", -np.inf)
+    monkeypatch.setattr(interrupt._signals, "ctrl_c_s", -np.inf)
     press = dataclasses.replace(QUIET, hooks=[lambda tick, trace: len(trace.stamps_ns) == 5 and signal.raise_signal(2)])
     assert replay_merged(joined(monday, recorded(runs / "other")), None, press).outcome == "interrupted"
 
