@@ -64,11 +64,4 @@ def data_dir() -> Path:
     return Path(folder)
 
 
-pytest.register_assert_rewrite(
-    "sixthsense.testing.contract",
-    "sixthsense.testing.edges",
-    "sixthsense.testing.estimation",
-    "sixthsense.testing.posterior",
-    "sixthsense.testing.walls",
-    "laws",
-)
+pytest.register_assert_rewrite("laws", "point_world")

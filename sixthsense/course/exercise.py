@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.testing.laws import Verdicts
+from sixthsense.testing.laws import Failures
 
 Draw = Callable[[np.random.Generator], tuple[Any, ...]]
 """arguments of an answer, drawn anew for each case"""
@@ -53,18 +53,17 @@ class Judged:
     """what is off, in a sentence; empty if nothing"""
 
 
-def verdict(verdicts: Verdicts) -> str:
-    """What a checker of a seam has found, in a sentence; empty if all laws hold.
+def verdict(failures: Failures) -> str:
+    """What a checker of a seam has found, in a sentence; empty if all laws hold but those that are optional.
 
     Raises NotImplementedError if that is all that the part does.
     """
-    broken = {law: found for law, found in verdicts.items() if found}
-    if not broken:
+    if failures.kept:
         return ""
-    if all("NotImplementedError" in found for found in broken.values()):
+    if all("NotImplementedError" in found for found in failures.values()):
         raise NotImplementedError
-    law, found = next(iter(broken.items()))
-    return f"it breaks {len(broken)} of {len(verdicts)} laws, first: {law.replace('_', ' ')}: {found}"
+    law, found = next(iter(failures.items()))
+    return f"it breaks {len(failures)} of {failures.tested} laws, first: {law}: {found}"
 
 
 def _cases(exercise: Exercise) -> Iterator[tuple[Any, ...]]:

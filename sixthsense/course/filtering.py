@@ -196,7 +196,7 @@ def _particles(rng: np.random.Generator) -> tuple[Array, float]:
 def _judge_estimator(estimator: Any) -> str:
     from sixthsense.testing import check_estimator
 
-    return verdict(check_estimator(estimator, validation=False))
+    return verdict(check_estimator(estimator))
 
 
 EXERCISES = (

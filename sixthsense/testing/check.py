@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -13,67 +14,121 @@ from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.front_end import FrontEnd
 from sixthsense.slam.scans.place_search import PlaceSearch
-from sixthsense.testing import contract, edges, posterior, walls
-from sixthsense.testing.estimation import make
-from sixthsense.testing.laws import Verdicts, verdicts_of
+from sixthsense.testing.laws import Failures, Law, checks_of, message_of
 
-INTERFACE = (*contract.LAWS, *edges.LAWS, *walls.LAWS, *walls.WALLS)
-LAWS = (*posterior.LAWS, *INTERFACE, *edges.VALIDATION, *walls.VALIDATION)
-"""of estimators"""
+Checks = Iterator[tuple[str, Callable[[], None]]]
+"""(name, check): a check without arguments raises an exception if the part breaks the law of that name"""
 
 
-def check_estimator(estimator: str | EstimatorFactory, validation: bool = True) -> Verdicts:
-    """Test an estimator, named or its class, against all laws of the `Estimator` contract, as the package's own.
+def check_estimator(estimator: str | EstimatorFactory) -> Failures:
+    """Check an estimator, named or its class, against all laws of the `Estimator` contract, as the package's own.
 
-    Statistics come first: mean and covariance beside those of batch least squares. What an estimator does with invalid
-    input comes last, does not count for `kept`, and is left out without `validation`. If the estimator raises
-    NotImplementedError for the first observation of a wall, the laws of walls are skipped.
+    If it raises NotImplementedError for the first observation of a wall, the laws of walls are skipped.
     """
-    return verdicts_of(LAWS, estimator, _refusal_of_walls(estimator), validation)
+    laws, skipped = _of_estimator(estimator)
+    return Failures(laws, estimator, skipped)
 
 
-def check_planner(planner: str | PlannerFactory, validation: bool = True) -> Verdicts:
-    """Test a planner, named or its class, against all laws of the `Planner` contract, on maps with random blocks."""
-    from sixthsense.testing.navigation import PLANNER_LAWS, PLANNER_VALIDATION
+def estimator_checks(estimator: str | EstimatorFactory) -> Checks:
+    """Laws that `check_estimator` tests.
 
-    return verdicts_of((*PLANNER_LAWS, *PLANNER_VALIDATION), planner, validation=validation)
-
-
-def check_explorer(explorer: str | Callable[..., Explorer]) -> Verdicts:
-    """Test an explorer, named or its class, against all laws of the `Explorer` contract, in two rooms with a door."""
-    from sixthsense.testing.navigation import EXPLORER_LAWS
-
-    return verdicts_of(EXPLORER_LAWS, explorer)
+    For pytest: `@pytest.mark.parametrize("name, check", estimator_checks(Mine))` above a test that calls `check()`.
+    """
+    return checks_of(_of_estimator(estimator)[0], estimator)
 
 
-def check_extractor(extractor: str | Callable[..., Extractor]) -> Verdicts:
-    """Test an extractor, named or its class, against all laws of the `Extractor` contract, in a room with free ends."""
-    from sixthsense.testing.perception import EXTRACTOR_LAWS, EXTRACTOR_STATISTICS
-
-    return verdicts_of((*EXTRACTOR_STATISTICS, *EXTRACTOR_LAWS), extractor)
+def check_planner(planner: str | PlannerFactory) -> Failures:
+    """Check a planner, named or its class, against all laws of the `Planner` contract, on maps with random blocks."""
+    return Failures(_laws_of("planner", planner), planner, {})
 
 
-def check_front_end(front_end: str | Callable[..., FrontEnd]) -> Verdicts:
-    """Test a front end, named or its class, against all laws of the `FrontEnd` contract, on drives with isam2."""
-    from sixthsense.testing.perception import FRONT_END_LAWS, FRONT_END_STATISTICS
-
-    return verdicts_of((*FRONT_END_STATISTICS, *FRONT_END_LAWS), front_end)
+def planner_checks(planner: str | PlannerFactory) -> Checks:
+    """Laws that `check_planner` tests, as `estimator_checks`."""
+    return checks_of(_laws_of("planner", planner), planner)
 
 
-def check_place_search(place_search: str | Callable[..., PlaceSearch]) -> Verdicts:
-    """Test a place search, named or its class, against all laws of the `PlaceSearch` contract, in three rooms."""
-    from sixthsense.testing.places import LAWS as LAWS_OF_PLACES
-    from sixthsense.testing.places import STATISTICS
-
-    return verdicts_of((*STATISTICS, *LAWS_OF_PLACES), place_search)
+def check_explorer(explorer: str | Callable[..., Explorer]) -> Failures:
+    """Check an explorer, named or its class, against all laws of the `Explorer` contract, in two rooms with a door."""
+    return Failures(_laws_of("explorer", explorer), explorer, {})
 
 
-def _refusal_of_walls(estimator: str | EstimatorFactory) -> str:
-    """The error with which an estimator refuses the first observation of a wall; empty if it does not."""
+def explorer_checks(explorer: str | Callable[..., Explorer]) -> Checks:
+    """Laws that `check_explorer` tests, as `estimator_checks`."""
+    return checks_of(_laws_of("explorer", explorer), explorer)
+
+
+def check_extractor(extractor: str | Callable[..., Extractor]) -> Failures:
+    """Check an extractor, named or its class, against all laws of the `Extractor` contract, in a furnished room."""
+    return Failures(_laws_of("extractor", extractor), extractor, {})
+
+
+def extractor_checks(extractor: str | Callable[..., Extractor]) -> Checks:
+    """Laws that `check_extractor` tests, as `estimator_checks`."""
+    return checks_of(_laws_of("extractor", extractor), extractor)
+
+
+def check_front_end(front_end: str | Callable[..., FrontEnd]) -> Failures:
+    """Check a front end, named or its class, against all laws of the `FrontEnd` contract, on drives with isam2."""
+    return Failures(_laws_of("front_end", front_end), front_end, {})
+
+
+def front_end_checks(front_end: str | Callable[..., FrontEnd]) -> Checks:
+    """Laws that `check_front_end` tests, as `estimator_checks`."""
+    return checks_of(_laws_of("front_end", front_end), front_end)
+
+
+def check_place_search(place_search: str | Callable[..., PlaceSearch]) -> Failures:
+    """Check a place search, named or its class, against all laws of the `PlaceSearch` contract, in three rooms."""
+    return Failures(_laws_of("place_search", place_search), place_search, {})
+
+
+def place_search_checks(place_search: str | Callable[..., PlaceSearch]) -> Checks:
+    """Laws that `check_place_search` tests, as `estimator_checks`."""
+    return checks_of(_laws_of("place_search", place_search), place_search)
+
+
+def _of_estimator(estimator: str | EstimatorFactory) -> tuple[list[Law], dict[str, str]]:
+    """The laws to test, and those to skip, with the reason."""
+    from sixthsense.testing.estimators import LAWS
+    from sixthsense.testing.worlds import make
+
     try:
-        make(estimator).update({0: Observation(Kind.WALL, np.array([0.5, -2.0]), 0.01 * np.eye(2), (-1.0, 1.0))})
+        made = make(estimator)
+    except Exception as error:
+        return [_not_made(error)], {}
+    try:
+        made.update({0: Observation(Kind.WALL, np.array([0.5, -2.0]), 0.01 * np.eye(2), (-1.0, 1.0))})
     except NotImplementedError as error:
-        return f"{type(error).__name__}: {error}"
-    except Exception:  # the laws find it and name it
-        return ""
-    return ""
+        skipped = {law.name: message_of(error) for law in LAWS if law.needs_walls}
+        return [law for law in LAWS if not law.needs_walls], skipped
+    except Exception:  # the laws of walls find it
+        pass
+    return list(LAWS), {}
+
+
+def _laws_of(kind: str, part: Any) -> list[Law]:
+    """The laws of a kind of parts; that the part can be made alone if it cannot, so that this is told once."""
+    from sixthsense.config import parts, preset
+    from sixthsense.config.tree import make_part
+    from sixthsense.navigation.planners import make_planner
+    from sixthsense.testing import navigation, perception, places
+
+    make, laws = {
+        "planner": (lambda: make_planner(part), navigation.PLANNER_LAWS),
+        "explorer": (lambda: make_part(parts.EXPLORERS, part, np.random.default_rng(7)), navigation.EXPLORER_LAWS),
+        "extractor": (lambda: perception.extractor_of(part, preset()), perception.EXTRACTOR_LAWS),
+        "front_end": (lambda: perception.front_end_of(part, 0), perception.FRONT_END_LAWS),
+        "place_search": (lambda: make_part(parts.PLACE_SEARCHES, part), places.LAWS),
+    }[kind]
+    try:
+        make()
+    except Exception as error:
+        return [_not_made(error)]
+    return list(laws)
+
+
+def _not_made(error: Exception) -> Law:
+    def check(_: Any) -> None:
+        raise AssertionError(f"found {message_of(error)}, allowed: a part that its class makes") from error
+
+    return Law("the part can be made", check)

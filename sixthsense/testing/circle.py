@@ -21,8 +21,8 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, rk4
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.slam.estimators import EstimatorFactory
-from sixthsense.testing.estimation import make
-from sixthsense.testing.sight import predict_points
+from sixthsense.testing.batch import to_robot
+from sixthsense.testing.worlds import make
 
 STEPS, STEP_S = 2500, 1.0
 SPEED, TURN_RATE = 0.25, math.radians(1.5)  # m/s, rad/s
@@ -89,7 +89,7 @@ def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
         odometry.append(Odometry(rk4(Pose(), speed, turn_rate, STEP_S), g @ ODOMETRY_COV @ g.T))
         motion = motion.then(odometry[-1])
         covs.append(motion.cov)
-        z, _, _ = predict_points(Pose.from_array(row), points)
+        z = np.array([to_robot(row, point, False) for point in points])
         z_range = np.hypot(z[:, 0], z[:, 1])
         z += SIGMA_POINT * rng.standard_normal(z.shape)
         seen = np.flatnonzero((z_range > NEAREST) & (z_range < FARTHEST)).tolist()

@@ -7,22 +7,41 @@ update. Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 
 from sixthsense.config import ISAM2Config
-from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import rotation_generator
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, Observation, rotation_generator
+from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator
-from sixthsense.testing.estimation import (
-    START,
-    START_COV,
-    joint_state,
-    make,
-    noisy,
-    sight,
-    sight_exactly,
-    step,
-)
+from sixthsense.testing.batch import to_robot
+from sixthsense.testing.worlds import joint_state, make
+
+_POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
+_START, _START_COV = Pose(0.3, -0.2, 0.4), np.diag([0.02, 0.03, 0.01]) + 0.002
+_MOTION = Pose(0.2, 0.0, 0.1)
+
+
+def _drive(
+    rng: np.random.Generator, sigma: float, steps: int, seen: int, point_sigma: float, noise: bool = True
+) -> Iterator[tuple[Odometry, dict[int, Observation]]]:
+    """Motions with standard deviations `sigma`, m, and half of it, rad, and observations of `seen` points."""
+    true, cov = _START, np.diag([sigma, sigma, 0.5 * sigma]) ** 2
+    for _ in range(steps):
+        drawn = np.sqrt(np.diag(cov)) * rng.standard_normal(3) if noise else np.zeros(3)
+        true = true @ Pose.from_array(_MOTION.array() + drawn)
+        yield Odometry(_MOTION, cov), _sight(true, rng.permutation(5)[:seen].tolist(), rng, point_sigma, noise)
+
+
+def _sight(
+    pose: Pose, ids: Iterable[int], rng: np.random.Generator, sigma: float, noise: bool = True
+) -> dict[int, Observation]:
+    """Observations of points from a pose, with noise `sigma`, m, or none."""
+    errors = {i: sigma * rng.standard_normal(2) if noise else np.zeros(2) for i in ids}
+    z = {i: to_robot(pose.array(), _POINTS[i], False) + error for i, error in errors.items()}
+    return {i: Observation(Kind.CORNER, z[i], sigma**2 * np.eye(2)) for i in z}
 
 
 def coordinates(name: str, estimate: Estimate) -> Array:
@@ -49,19 +68,17 @@ def own_covariance(name: str, estimator: Estimator) -> Array:
 def observability_gramian(name: str, seed: int, noise: bool) -> Array:
     """Sum over a window of Phi(k, 0)^T H_k^T R_k^-1 H_k Phi(k, 0), in the coordinates of the filter."""
     rng = np.random.default_rng(seed)
-    estimator, true = make(name), START
-    estimator.update(sight(true, range(5), rng) if noise else sight_exactly(name, true, range(5)))
+    estimator = make(name, _START, _START_COV)
+    estimator.update(_sight(_START, range(5), rng, 0.05, noise))
     updated = own_covariance(name, estimator)
     transition, gramian = np.eye(len(updated)), np.zeros_like(updated)
-    for _ in range(12):
-        odometry = step(sigma=0.05)
-        true = true @ (noisy(odometry, rng) if noise else odometry.motion)
+    for odometry, observations in _drive(rng, 0.05, 12, 5, 0.05, noise):
         estimator.predict(odometry)
         predicted = own_covariance(name, estimator)
         phi = np.eye(len(updated))  # for xi, whose landmark part changes only by the odometry noise
         if name == "ekf":  # Sigma_lp' = Sigma_lp Phi^T
             phi[:3, :3] = np.linalg.lstsq(updated[3:, :3], predicted[3:, :3])[0].T
-        estimator.update(sight(true, range(5), rng) if noise else sight_exactly(name, true, range(5)))
+        estimator.update(observations)
         updated = own_covariance(name, estimator)
         transition = phi @ transition
         gramian += transition.T @ (np.linalg.inv(updated) - np.linalg.inv(predicted)) @ transition
@@ -76,12 +93,9 @@ def nullity(gramian: Array) -> int:
 
 def heading_variances(name: str, seed: int) -> Array:
     """(150,) heading variance over several loops, relative to the start; no measurement can lower it."""
-    rng = np.random.default_rng(seed)
-    estimator, true, variances = make(name, isam2=ISAM2Config()), START, []
-    for _ in range(150):
-        odometry = step(sigma=0.04)
-        true = true @ noisy(odometry, rng)
+    estimator, variances = make(name, _START, _START_COV, ISAM2Config()), []
+    for odometry, observations in _drive(np.random.default_rng(seed), 0.04, 150, 3, 0.1):
         estimator.predict(odometry)
-        estimator.update(sight(true, rng.choice(5, 3, replace=False).tolist(), rng, 0.1))
+        estimator.update(observations)
         variances.append(estimator.estimate().pose_cov[2, 2])
-    return np.asarray(np.array(variances) / START_COV[2, 2])
+    return np.asarray(np.array(variances) / _START_COV[2, 2])

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from predicted import predict_points, predict_walls
 
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each, stacked, translations
 from sixthsense.core.landmarks import line_errors
-from sixthsense.testing.sight import predict_points, predict_walls
 
 
 def covariances(rng, n):

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from point_world import joint_state, make
 
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.metrics import nees_band, nees_landmarks
-from sixthsense.testing.estimation import joint_state, make
-from sixthsense.testing.posterior import BOTH, MOTION, START, START_COV
+from sixthsense.testing.worlds import BOTH, MOTION, START, START_COV
 
 RUNS = 150
 

@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from predicted import predict_points
 
 from sixthsense.config import Config, LaserConfig, LaserNoise, merge
 from sixthsense.core.geometry import Pose
@@ -17,7 +18,6 @@ from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import judge_matches, landmark_identities
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
 from sixthsense.slam.features import extract
-from sixthsense.testing.sight import predict_points
 
 MOUNT = (0.35, -0.2, 0.7)
 LASER = TrueLaser(LaserConfig(mount=MOUNT), LaserNoise(range_m=0.012, bearing_rad=0.001))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from point_world import assert_same, driven, joint_state, make, step
 from scipy.optimize import least_squares
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, Smoother
-from sixthsense.testing.estimation import assert_same, driven, joint_state, make, step
 from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
@@ -44,7 +44,7 @@ def linked(name: str, poses: int = 8) -> Smoother:
     return estimator
 
 
-@LAWS.law
+@LAWS.law()
 def a_link_of_no_information_changes_almost_nothing(name: str) -> None:
     estimator = linked(name)
     before = joint_state(estimator)
@@ -52,7 +52,7 @@ def a_link_of_no_information_changes_almost_nothing(name: str) -> None:
     assert_same(before, joint_state(estimator), 1e-5)
 
 
-@LAWS.law
+@LAWS.law()
 def links_give_the_least_squares_solution(name: str) -> None:
     estimator = linked(name)
     estimator.link(_LINKS)
@@ -61,7 +61,7 @@ def links_give_the_least_squares_solution(name: str) -> None:
     assert np.abs(off[:, :2]).max() < 1e-3 and np.abs(wrap_angle(off[:, 2])).max() < 5e-4
 
 
-@LAWS.law
+@LAWS.law()
 def links_given_one_by_one_are_links_given_at_once(name: str) -> None:
     one, two = linked(name), linked(name)
     one.link(_LINKS)
@@ -71,7 +71,7 @@ def links_given_one_by_one_are_links_given_at_once(name: str) -> None:
     assert np.allclose(one.trajectory(), two.trajectory(), atol=1e-6)
 
 
-@LAWS.law
+@LAWS.law()
 def a_link_with_a_loss_gives_way_to_the_others(name: str) -> None:
     estimator, wrong = linked(name), Odometry(Pose(9.0, 9.0, 1.0), 1e-4 * np.eye(3))
     before = estimator.trajectory()
@@ -79,7 +79,7 @@ def a_link_with_a_loss_gives_way_to_the_others(name: str) -> None:
     assert np.abs(estimator.trajectory() - before).max() < 0.05
 
 
-@LAWS.law
+@LAWS.law()
 def removed_links_leave_no_trace(name: str) -> None:
     for loss in (math.inf, 3.0):
         plain, estimator = linked(name), linked(name)
@@ -96,7 +96,7 @@ def removed_links_leave_no_trace(name: str) -> None:
         assert_same(joint_state(estimator), joint_state(plain), 1e-5)
 
 
-@LAWS.law
+@LAWS.law()
 def links_and_observations_of_one_drive_are_used_together(name: str) -> None:
     estimator = driven(name)
     assert isinstance(estimator, Smoother)
@@ -109,7 +109,7 @@ def links_and_observations_of_one_drive_are_used_together(name: str) -> None:
     assert len(estimator.trajectory()) == 9
 
 
-@LAWS.law
+@LAWS.law()
 def an_unknown_link_or_pose_is_a_key_error_and_changes_nothing(name: str) -> None:
     estimator = linked(name)
     ids = estimator.link(_LINKS)
@@ -127,7 +127,7 @@ def an_unknown_link_or_pose_is_a_key_error_and_changes_nothing(name: str) -> Non
         estimator.unlink(ids[:1])
 
 
-@LAWS.law
+@LAWS.law()
 def an_invalid_link_is_a_value_error_and_changes_nothing(name: str) -> None:
     estimator = linked(name)
     before, pose = joint_state(estimator), Pose(1.0, 0.0, 0.0)
@@ -141,7 +141,7 @@ def an_invalid_link_is_a_value_error_and_changes_nothing(name: str) -> None:
     assert_same(before, joint_state(estimator))
 
 
-@LAWS.law
+@LAWS.law()
 def no_link_changes_nothing(name: str) -> None:
     estimator = linked(name)
     before = joint_state(estimator)
@@ -150,7 +150,7 @@ def no_link_changes_nothing(name: str) -> None:
     assert_same(before, joint_state(estimator))
 
 
-@LAWS.law
+@LAWS.law()
 def poses_at_some_updates_are_rows_of_the_trajectory(name: str) -> None:
     estimator = linked(name)
     for links in ([], _LINKS[:1], _LINKS[1:]):

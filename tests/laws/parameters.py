@@ -7,6 +7,8 @@ import math
 from typing import Any
 
 import numpy as np
+from point_world import POINTS, START, START_COV, assert_same, joint_state, make, noisy, sight
+from predicted import predict_points
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
@@ -15,14 +17,12 @@ from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms
 from sixthsense.slam.estimators import Filter
-from sixthsense.testing import posterior
+from sixthsense.testing import worlds
 from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
-from sixthsense.testing.estimation import POINTS, START, START_COV, assert_same, joint_state, make, noisy, sight
 from sixthsense.testing.laws import Laws, raises
-from sixthsense.testing.sight import predict_points
 
 LAWS = Laws()
-WALLS = Laws(needs_walls=True)
+WALLS = Laws()
 
 Values = Wheels | Sensor
 Parameters = ParameterEstimate[Wheels] | ParameterEstimate[Sensor]
@@ -155,12 +155,12 @@ class OfSensor(Kept):
 WHEELS, KINDS = OfWheels(), (OfWheels(), OfSensor())
 
 
-@LAWS.law_for(KINDS)
+@LAWS.law(None, KINDS)
 def without_the_option_there_are_no_parameters(name: str, kind: Kept) -> None:
     assert kind.found(make(name)) is None
 
 
-@LAWS.law_for(KINDS)
+@LAWS.law(None, KINDS)
 def before_any_motion_the_parameters_keep_their_prior(name: str, kind: Kept) -> None:
     """Nothing tells whether the sensor is turned, or the landmarks lie elsewhere."""
     estimator = kind.start(name, dataclasses.replace(kind.prior, values=kind.true))
@@ -170,7 +170,7 @@ def before_any_motion_the_parameters_keep_their_prior(name: str, kind: Kept) -> 
     assert np.allclose(found.cov, kind.prior.cov, rtol=1e-6, atol=1e-11)
 
 
-@LAWS.law_for(KINDS)
+@LAWS.law(None, KINDS)
 def exactly_known_parameters_change_nothing(name: str, kind: Kept) -> None:
     known = dataclasses.replace(kind.prior, values=kind.true, cov=np.zeros_like(kind.prior.cov))
     at, cov = Pose(), 1e-2 * _motion_cov(0.01)
@@ -180,7 +180,7 @@ def exactly_known_parameters_change_nothing(name: str, kind: Kept) -> None:
     assert_same(joint_state(plain), joint_state(estimator), 1e-4)
 
 
-@LAWS.law_for(KINDS)
+@LAWS.law(None, KINDS)
 def parameters_and_pose_converge_to_the_truth_as_noise_goes_to_zero(name: str, kind: Kept) -> None:
     for sigma in (1e-3, 1e-4):
         estimator, true = kind.driven(name, 60, sigma, np.random.default_rng(1))
@@ -189,7 +189,7 @@ def parameters_and_pose_converge_to_the_truth_as_noise_goes_to_zero(name: str, k
         assert np.linalg.norm(estimator.estimate().pose.position - true.position) < 30.0 * sigma
 
 
-@LAWS.law_for(KINDS)
+@LAWS.law(None, KINDS)
 def the_estimate_of_parameters_is_a_copy(name: str, kind: Kept) -> None:
     estimator, _ = kind.driven(name, 5, 0.01, np.random.default_rng(0))
     before = kind.found(estimator).cov.copy()
@@ -197,7 +197,7 @@ def the_estimate_of_parameters_is_a_copy(name: str, kind: Kept) -> None:
     assert np.array_equal(kind.found(estimator).cov, before)
 
 
-@LAWS.law_for(KINDS)
+@LAWS.law(None, KINDS)
 def a_late_or_invalid_prior_is_refused(name: str, kind: Kept) -> None:
     late = f"calibrate {kind.label}"
     with raises(RuntimeError, late):
@@ -214,7 +214,7 @@ def a_late_or_invalid_prior_is_refused(name: str, kind: Kept) -> None:
             kind.start(name, dataclasses.replace(kind.prior, cov=cov))
 
 
-@LAWS.law
+@LAWS.law()
 def odometry_that_does_not_depend_on_the_wheels_leaves_them_alone(name: str) -> None:
     plain, other = make(name), WHEELS.start(name)
     for estimator in (plain, other):
@@ -228,32 +228,32 @@ def odometry_that_does_not_depend_on_the_wheels_leaves_them_alone(name: str) -> 
     assert np.allclose(WHEELS.found(other).cov, PRIOR.cov, rtol=1e-6, atol=1e-12)
 
 
-@LAWS.law_for([posterior.POINTS, posterior.BOTH])
-def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(name: str, world: posterior.World) -> None:
-    noise, rng = posterior.NOISE, np.random.default_rng(7)
+@LAWS.law(None, [worlds.POINTS, worlds.BOTH])
+def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(name: str, world: worlds.World) -> None:
+    noise, rng = worlds.NOISE, np.random.default_rng(7)
     prior = ParameterEstimate(Wheels(0.02, 0.01, -0.01, 0.03), (4.0 * noise) ** 2 * np.eye(PARAMETERS))
     true = Wheels.from_array(prior.values.array() + 4.0 * noise * rng.standard_normal(PARAMETERS))
-    at = Pose.from_array(posterior.START.array() + np.linalg.cholesky(posterior.START_COV) @ rng.standard_normal(3))
+    at = Pose.from_array(worlds.START.array() + np.linalg.cholesky(worlds.START_COV) @ rng.standard_normal(3))
     log: list[tuple[Odometry, dict[LandmarkId, Observation]]] = []
-    estimator = WHEELS.start(name, prior, posterior.START, posterior.START_COV)
+    estimator = WHEELS.start(name, prior, worlds.START, worlds.START_COV)
     for k in range(8):
-        error = np.linalg.cholesky(posterior.MOTION.cov) @ rng.standard_normal(3)
-        at = at @ Pose.from_array(increment(k, true, posterior.MOTION.cov).motion.array() + error)
+        error = np.linalg.cholesky(worlds.MOTION.cov) @ rng.standard_normal(3)
+        at = at @ Pose.from_array(increment(k, true, worlds.MOTION.cov).motion.array() + error)
         ids = range(len(world.kinds)) if k % 3 != 1 else [k % 2, 2]
-        log.append((increment(k, prior.values, posterior.MOTION.cov), world.sight(at, list(ids), rng)))
+        log.append((increment(k, prior.values, worlds.MOTION.cov), world.sight(at, list(ids), rng)))
         estimator.predict(log[-1][0])
         estimator.update(log[-1][1])
-    found = batch_posterior(log, posterior.START, posterior.START_COV, prior)
+    found = batch_posterior(log, worlds.START, worlds.START_COV, prior)
     rest, wheels = slice(0, -PARAMETERS), slice(-PARAMETERS, None)
     reference = Posterior(found.ids, found.mean[rest], found.cov[rest, rest], found.angles[rest])
-    posterior.assert_agrees(estimator, reference)
-    estimate, tolerance = WHEELS.found(estimator), 2.0 * posterior.TOLERANCE
+    worlds.assert_agrees(estimator, reference)
+    estimate, tolerance = WHEELS.found(estimator), 2.0 * worlds.TOLERANCE
     sigmas = np.sqrt(np.diag(found.cov)[wheels])
     assert np.abs((estimate.values.array() - found.mean[wheels]) / sigmas).max() < tolerance
     assert np.abs((estimate.cov - found.cov[wheels, wheels]) / np.outer(sigmas, sigmas)).max() < tolerance
 
 
-@WALLS.law
+@WALLS.law()
 def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str) -> None:
     """The drift is observed there. A drive across would observe the scale, too.
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from point_world import START, START_COV, assert_same, fed, joint_state, make, sight, step
 
+from laws.reference import corrected
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
-from sixthsense.testing import posterior
+from sixthsense.testing import worlds
 from sixthsense.testing.batch import Posterior, batch_posterior
-from sixthsense.testing.estimation import START, START_COV, assert_same, fed, joint_state, make, sight, step
 from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
@@ -26,11 +27,11 @@ def begun(name: str, prior: LandmarkPrior, start: Pose = START, start_cov: Array
     return estimator
 
 
-def prior_of(world: posterior.World, rng: np.random.Generator) -> LandmarkPrior:
+def prior_of(world: worlds.World, rng: np.random.Generator) -> LandmarkPrior:
     """Landmarks of a world with errors drawn from a joint covariance; ids 10, 11, ... ."""
     n = len(world.kinds)
     mixed = rng.standard_normal((2 * n, 2 * n))
-    cov = posterior.NOISE**2 * (np.eye(2 * n) + 0.1 * mixed @ mixed.T)
+    cov = worlds.NOISE**2 * (np.eye(2 * n) + 0.1 * mixed @ mixed.T)
     walls = np.array([kind == Kind.WALL for kind in world.kinds])
     means = world.landmarks + (np.linalg.cholesky(cov) @ rng.standard_normal(2 * n)).reshape(n, 2)
     return LandmarkPrior(10 + np.arange(n), means, walls, cov, ends(means))
@@ -58,84 +59,84 @@ def state_of(prior: LandmarkPrior, start: Pose, start_cov: Array) -> Posterior:
     return Posterior(prior.ids.tolist(), np.append(start.array(), prior.landmarks), cov, angles)
 
 
-@LAWS.law_for(posterior.WORLDS)
+@LAWS.law(None, worlds.WORLDS)
 def before_any_motion_the_landmarks_are_their_prior_and_independent_of_the_start(
-    name: str, world: posterior.World
+    name: str, world: worlds.World
 ) -> None:
     prior = prior_of(world, np.random.default_rng(1))
-    estimator = begun(name, prior, posterior.START, posterior.START_COV)
-    posterior.assert_agrees(estimator, state_of(prior, posterior.START, posterior.START_COV))
+    estimator = begun(name, prior, worlds.START, worlds.START_COV)
+    worlds.assert_agrees(estimator, state_of(prior, worlds.START, worlds.START_COV))
     assert np.array_equal(estimator.estimate().walls, prior.walls)
     assert len(estimator.trajectory()) == 0
 
 
-@LAWS.law_for(posterior.WORLDS)
-def the_first_observations_add_their_information_to_the_prior(name: str, world: posterior.World) -> None:
+@LAWS.law(None, worlds.WORLDS)
+def the_first_observations_add_their_information_to_the_prior(name: str, world: worlds.World) -> None:
     rng = np.random.default_rng(2)
     prior = prior_of(world, rng)
-    estimator = begun(name, prior, posterior.START, posterior.START_COV)
-    seen = {10 + i: s for i, s in world.sight(posterior.START, range(len(world.kinds) - 1), rng).items()}
-    expected = posterior.corrected(state_of(prior, posterior.START, posterior.START_COV), seen)
+    estimator = begun(name, prior, worlds.START, worlds.START_COV)
+    seen = {10 + i: s for i, s in world.sight(worlds.START, range(len(world.kinds) - 1), rng).items()}
+    expected = corrected(state_of(prior, worlds.START, worlds.START_COV), seen)
     estimator.update(seen)
-    posterior.assert_agrees(estimator, expected)
+    worlds.assert_agrees(estimator, expected)
 
 
-@LAWS.law_for(posterior.WORLDS)
-def two_runs_are_one_long_run_in_which_the_robot_is_put_elsewhere(name: str, world: posterior.World) -> None:
+@LAWS.law(None, worlds.WORLDS)
+def two_runs_are_one_long_run_in_which_the_robot_is_put_elsewhere(name: str, world: worlds.World) -> None:
     """The second run begins with the landmarks of the first: batch least squares over both knows no prior map."""
-    log, _, _ = posterior.drive(world, 6)
-    first = posterior.driven(name, world, 6)
-    second = begun(name, prior_from(first), posterior.START, posterior.START_COV)
+    log, _, _ = worlds.drive(world, 6)
+    first = worlds.driven(name, world, 6)
+    second = begun(name, prior_from(first), worlds.START, worlds.START_COV)
     rng = np.random.default_rng(8)
-    true = Pose.from_array(posterior.START.array() + np.linalg.cholesky(posterior.START_COV) @ rng.standard_normal(3))
+    true = Pose.from_array(worlds.START.array() + np.linalg.cholesky(worlds.START_COV) @ rng.standard_normal(3))
     again: Log = []
     for _ in range(6):
-        error = np.linalg.cholesky(posterior.MOTION.cov) @ rng.standard_normal(3)
-        true = true @ Pose.from_array(posterior.MOTION.motion.array() + error)
-        again.append((posterior.MOTION, world.sight(true, range(len(world.kinds)), rng)))
+        error = np.linalg.cholesky(worlds.MOTION.cov) @ rng.standard_normal(3)
+        true = true @ Pose.from_array(worlds.MOTION.motion.array() + error)
+        again.append((worlds.MOTION, world.sight(true, range(len(world.kinds)), rng)))
     fed(second, again)
-    start = Odometry(posterior.START, posterior.START_COV)
-    both = batch_posterior([*log, *again], posterior.START, posterior.START_COV, restarts={len(log): start})
-    posterior.assert_agrees(second, both)
+    start = Odometry(worlds.START, worlds.START_COV)
+    both = batch_posterior([*log, *again], worlds.START, worlds.START_COV, restarts={len(log): start})
+    worlds.assert_agrees(second, both)
 
 
-@LAWS.law
+@LAWS.law()
 def landmarks_known_exactly_stay_where_they_are(name: str) -> None:
-    prior = prior_of(posterior.POINTS, np.random.default_rng(3))
+    prior = prior_of(worlds.POINTS, np.random.default_rng(3))
     prior = LandmarkPrior(prior.ids, prior.landmarks, prior.walls, np.zeros_like(prior.cov), prior.extents)
-    estimator = begun(name, prior, posterior.START, posterior.START_COV)
+    estimator = begun(name, prior, worlds.START, worlds.START_COV)
     for _ in range(3):
-        estimator.predict(posterior.MOTION)
+        estimator.predict(worlds.MOTION)
         estimator.update({10: Observation(Kind.CORNER, np.array([1.0, 0.5]), np.eye(2) * 0.01)})
     assert np.allclose(estimator.estimate().landmarks, prior.landmarks, atol=1e-4)
 
 
-@LAWS.law
+@LAWS.law()
 def a_new_landmark_beside_those_of_the_prior_is_added_after_them(name: str) -> None:
-    prior = prior_of(posterior.BOTH, np.random.default_rng(3))
-    estimator = begun(name, prior, posterior.START, posterior.START_COV)
-    estimator.predict(posterior.MOTION)
+    prior = prior_of(worlds.BOTH, np.random.default_rng(3))
+    estimator = begun(name, prior, worlds.START, worlds.START_COV)
+    estimator.predict(worlds.MOTION)
     estimator.update({3: Observation(Kind.END, np.array([1.0, 0.5]), np.eye(2) * 0.01)})
     estimate, joint = joint_state(estimator)
     assert estimate.ids.tolist() == [*prior.ids.tolist(), 3]
-    assert np.allclose(joint[3:-2, 3:-2], prior.cov, rtol=1e-3, atol=1e-2 * posterior.NOISE**2)
+    assert np.allclose(joint[3:-2, 3:-2], prior.cov, rtol=1e-3, atol=1e-2 * worlds.NOISE**2)
 
 
-@LAWS.law_for(posterior.WORLDS)
-def a_forgotten_landmark_leaves_the_marginal_of_the_others(name: str, world: posterior.World) -> None:
+@LAWS.law(None, worlds.WORLDS)
+def a_forgotten_landmark_leaves_the_marginal_of_the_others(name: str, world: worlds.World) -> None:
     prior = prior_of(world, np.random.default_rng(5))
-    estimator = begun(name, prior, posterior.START, posterior.START_COV)
+    estimator = begun(name, prior, worlds.START, worlds.START_COV)
     estimator.forget([11])
-    reference = state_of(prior.without([11]), posterior.START, posterior.START_COV)
-    posterior.assert_agrees(estimator, reference)
-    seen = {10 + i: s for i, s in world.sight(posterior.START, [0, 2], np.random.default_rng(6)).items()}
+    reference = state_of(prior.without([11]), worlds.START, worlds.START_COV)
+    worlds.assert_agrees(estimator, reference)
+    seen = {10 + i: s for i, s in world.sight(worlds.START, [0, 2], np.random.default_rng(6)).items()}
     estimator.update(seen)
-    posterior.assert_agrees(estimator, posterior.corrected(reference, seen))
+    worlds.assert_agrees(estimator, corrected(reference, seen))
     estimator.forget([10])
     assert estimator.estimate().ids.tolist() == prior.without([10, 11]).ids.tolist()
 
 
-@LAWS.law
+@LAWS.law()
 def no_landmarks_are_no_prior(name: str) -> None:
     none = LandmarkPrior(
         np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 2, 2))
@@ -147,9 +148,9 @@ def no_landmarks_are_no_prior(name: str) -> None:
     assert_same(joint_state(plain), joint_state(other))
 
 
-@LAWS.law
+@LAWS.law()
 def a_late_or_invalid_prior_map_is_refused(name: str) -> None:
-    prior = prior_of(posterior.POINTS, np.random.default_rng(0))
+    prior = prior_of(worlds.POINTS, np.random.default_rng(0))
     moved, seen = make(name), make(name)
     moved.predict(step())
     seen.update(sight(START, [0], np.random.default_rng(0)))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from point_world import make
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.testing.estimation import make
 
 _STEP_M, _REACH_M, _WALLS_PER_M, _ASIDE_M, _LENGTH_M = 0.4, 4.0, 1.5, 4.0, 0.5
 _OFFSET_M = 0.005

@@ -1,12 +1,11 @@
 """The checkers of the seams, but that of estimators: parts that break their contract in one way alone are found."""
 
 import dataclasses
-import importlib
+import math
 
 import numpy as np
 import pytest
 
-from sixthsense import testing
 from sixthsense.config import FeaturesConfig
 from sixthsense.core.motion import Odometry
 from sixthsense.navigation.explorer import FrontierExplorer
@@ -15,7 +14,17 @@ from sixthsense.slam.features.extraction import LineExtractor
 from sixthsense.slam.front_end import Finished
 from sixthsense.slam.landmark_front_end import landmark_front_end
 from sixthsense.slam.scans.place_search import BranchAndBound
-from sixthsense.testing import navigation, perception, places
+from sixthsense.testing import (
+    explorer_checks,
+    extractor_checks,
+    front_end_checks,
+    navigation,
+    perception,
+    place_search_checks,
+    places,
+    planner_checks,
+)
+from sixthsense.testing.laws import Failures, agree, at_most, equal, raises
 
 
 class TooLong(AStar):
@@ -141,63 +150,73 @@ class WorstFirst(BranchAndBound):
 
 
 BROKEN = [
-    (navigation.PLANNER_LAWS, TooLong, "a_path_joins_start_and_goal_through_free_cells_at_the_length_it_says"),
-    (navigation.PLANNER_LAWS, Elsewhere, "a_path_joins_start_and_goal_through_free_cells_at_the_length_it_says"),
-    (navigation.PLANNER_LAWS, Forgetful, "the_same_question_has_the_same_answer"),
-    (navigation.EXPLORER_LAWS, Writes, "the_view_stays_as_it_is"),
+    (navigation.PLANNER_LAWS, TooLong, "a path joins start and goal through free cells at the length it says"),
+    (navigation.PLANNER_LAWS, Elsewhere, "a path joins start and goal through free cells at the length it says"),
+    (navigation.PLANNER_LAWS, Forgetful, "the same question has the same answer"),
+    (navigation.EXPLORER_LAWS, Writes,
+     "every target is of unseen cells and seen from where the robot can drive"),
     (navigation.EXPLORER_LAWS, Unreachable,
-     "every_target_is_of_unseen_cells_and_seen_from_where_the_robot_can_drive"),
-    (navigation.EXPLORER_LAWS, Draws, "the_same_map_and_generator_give_the_same_targets"),
-    (perception.EXTRACTOR_STATISTICS, Overconfident, "covariances_are_as_large_as_errors"),
-    (perception.EXTRACTOR_STATISTICS, Aside, "what_is_observed_is_there"),
-    (perception.FRONT_END_STATISTICS, TooSure, "the_covariance_of_the_pose_is_as_large_as_its_errors"),
-    (perception.FRONT_END_LAWS, CountsFromOne, "keyframes_count_from_0_and_are_the_rows_of_the_trajectory"),
-    (perception.FRONT_END_LAWS, Indefinite, "the_motion_since_the_last_keyframe_has_a_covariance"),
-    (places.STATISTICS, Shifted, "the_place_where_the_robot_is_is_among_what_is_proposed"),
-    (places.LAWS, Twice, "candidates_are_of_different_places"),
-    (places.LAWS, WorstFirst, "candidates_are_poses_with_scores_the_best_first"),
+     "every target is of unseen cells and seen from where the robot can drive"),
+    (navigation.EXPLORER_LAWS, Draws, "the same map and generator give the same targets"),
+    (perception.EXTRACTOR_LAWS, Overconfident, "covariances are as large as errors"),
+    (perception.EXTRACTOR_LAWS, Aside, "what is observed is there"),
+    (perception.FRONT_END_LAWS, TooSure, "the covariance of the pose is as large as its errors"),
+    (perception.FRONT_END_LAWS, CountsFromOne, "keyframes count from 0 and are the rows of the trajectory"),
+    (perception.FRONT_END_LAWS, Indefinite, "the motion since the last keyframe has a covariance"),
+    (places.LAWS, Shifted, "the place where the robot is is among what is proposed"),
+    (places.LAWS, Twice, "candidates are poses of different places with scores the best first"),
+    (places.LAWS, WorstFirst, "candidates are poses of different places with scores the best first"),
 ]  # fmt: skip
 """the laws, a part that breaks one of them, and which"""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("laws", "part", "broken"), BROKEN, ids=[part.__name__ for _, part, _ in BROKEN])
-def test_a_part_that_breaks_a_law_is_found_by_it_with_numbers(laws, part, broken):
-    (law,) = (law for law in laws if law.name == broken)
-    verdicts = testing.check.verdicts_of([law], part)
-    assert verdicts[broken].startswith(("found", "nothing")) and not verdicts.kept
+def test_a_part_that_breaks_a_law_is_found_by_it_with_what_was_found(laws, part, broken):
+    failures = Failures([laws.named(broken)], part, {})
+    assert "found" in failures[broken] and not failures.kept
 
 
-LAWS = """
-import math
-
-import numpy as np
-
-from sixthsense.testing.laws import Laws
-
-LAWS = Laws("statistics")
+CHECKS = [
+    (planner_checks, AStar), (explorer_checks, FrontierExplorer), (extractor_checks, "lines"),
+    (front_end_checks, "landmarks"), (place_search_checks, "branch-and-bound"),
+]  # fmt: skip
 
 
-@LAWS.law
-def a_share_is_small(part):
-    share = part / 4.0
-    assert share <= 0.2
+@pytest.mark.parametrize(("checks", "part"), CHECKS, ids=[checks.__name__ for checks, _ in CHECKS])
+def test_what_cannot_be_made_is_told_once(checks, part):
+    class Fails:
+        def __init__(self, *given):
+            raise TypeError("nothing fits")
+
+    ((name, check),) = checks(Fails)
+    assert name == "the part can be made"
+    with pytest.raises(AssertionError, match=r"^found .*nothing fits.*, allowed: a part that its class makes$"):
+        check()
+    assert len([*checks(part)]) > 1
 
 
-@LAWS.law
-def arrays_agree(part):
-    found, allowed = np.array([[1.0, 2.5], [3.0, part]]), np.array([[1.0, 2.5], [3.0, 4.0]])
-    assert math.isfinite(part) and np.allclose(found, allowed, rtol=0.0, atol=0.01)
-"""
-
-
-def test_a_failure_of_a_law_has_what_was_found_and_what_is_allowed(tmp_path, monkeypatch):
-    """The laws are in a file that pytest does not rewrite: it would say more of a plain assertion."""
-    (tmp_path / "plain_laws.py").write_text(LAWS)
-    monkeypatch.syspath_prepend(tmp_path)
-    laws = importlib.import_module("plain_laws").LAWS
-    verdicts = testing.check.verdicts_of(laws, 3.0)
-    assert verdicts["a_share_is_small"] == "found 0.75, allowed <= 0.2 (share <= 0.2)"
-    assert verdicts["arrays_agree"].startswith("found a difference of 1 at [1, 1], allowed 0.01 (np.allclose(found")
-    assert repr(verdicts).splitlines()[0] == "statistics: breaks 2 of 2 laws"
-    assert testing.check.verdicts_of(laws, 0.4)["a_share_is_small"] == ""
+def test_assertions_of_laws_have_what_was_found_and_what_is_allowed():
+    cases = {
+        "share: found 0.75, allowed at most 0.2": lambda: at_most("share", 0.75, 0.2),
+        "share: found nan, allowed at most 0.2": lambda: at_most("share", math.nan, 0.2),
+        "z: found a difference of 1 at [1, 0], allowed 0.03": lambda: agree(
+            "z", [[1, 2], [4, 5]], [[1, 2], [3, 5]], 0, 0.01
+        ),
+        "z: found a difference of inf at [1], allowed 0": lambda: agree("z", [1, math.nan], [1, 2]),
+        "z: found shape (2,), allowed (3,)": lambda: agree("z", [1, 2], [1, 2, 3]),
+        "ids: found [1], allowed [2]": lambda: equal("ids", [1], [2]),
+    }
+    for message, check in cases.items():
+        with pytest.raises(AssertionError) as caught:
+            check()
+        assert str(caught.value) == message
+    at_most("share", 0.2, 0.2)
+    agree("z", [1.0, 2.001], [1, 2], 1e-3 + 1e-12)
+    with pytest.raises(AssertionError, match=r"^found ValueError: b, allowed: KeyError$"), raises(KeyError):
+        raise ValueError("b")
+    with (
+        pytest.raises(AssertionError, match=r"^found no error, allowed: KeyError that names 'c'$"),
+        raises(KeyError, "c"),
+    ):
+        pass

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from predicted import predict_points
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose
@@ -10,7 +11,6 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.association import associator as associator_module
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
-from sixthsense.testing.sight import predict_points
 
 REPORT = AssociationConfig(match_gate=20.0, match_odds=0.0, new_gate=200.0, new_separation_m=0.0)
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from predicted import predict_walls
 from scanned import look
 
 from sixthsense.config import preset
@@ -9,7 +10,6 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import WallShape, initialize_landmark
 from sixthsense.slam.association.records import Crookedness, MeanShape, less_certain
 from sixthsense.slam.features import extract
-from sixthsense.testing.sight import predict_walls
 
 VARIANCES = (4e-6, 9e-6)
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from predicted import predict_points
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
-from sixthsense.testing.sight import predict_points
 
 POINTS = {3: (3.1, 1.2), 5: (2.4, -1.7), 8: (4.6, 0.3), 9: (5.2, 2.9), 12: (6.0, -2.2)}
 START, SIGMA = Pose(0.4, -0.3, 0.2), 0.05

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from predicted import predict_points
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
@@ -15,7 +16,6 @@ from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.joint_assignment import Pairs, likely_matches
 from sixthsense.slam.association.unknown import UnknownPoints, least_densities
 from sixthsense.slam.estimators import make_estimator
-from sixthsense.testing.sight import predict_points
 
 ESTIMATORS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2"]
 START = Pose(-1.3, 0.7, 0.4)

@@ -6,6 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 from laws.nees import error_of, normalised
+from point_world import joint_state
+from predicted import predict_walls
 from scanned import box, look
 
 from sixthsense.config import AssociationConfig, preset
@@ -21,8 +23,6 @@ from sixthsense.slam.association.observed import ends, fused
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
 from sixthsense.slam.estimators.isam2_factors import lines, measurement
 from sixthsense.slam.features import extract
-from sixthsense.testing.estimation import joint_state
-from sixthsense.testing.sight import predict_walls
 
 WALLS = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0], [-math.pi / 2, -4.5], [0.7, -6.0], [2.4, -5.0]])
 ROOM = box(-3, -2, 6, 4)

@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 from laws.nees import assert_consistent, error_of, normalised
+from point_world import CONSISTENT, POINTS, joint_state, make, noisy, sight, step
+from predicted import predict_points
 from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
@@ -12,8 +14,6 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.metrics import nees_band, nees_invariant
 from sixthsense.slam.estimators import ESTIMATORS
-from sixthsense.testing.estimation import CONSISTENT, POINTS, joint_state, make, noisy, sight, step
-from sixthsense.testing.sight import predict_points
 
 LAP, RADIUS = 40, 4.0
 ROUND = Pose(2.0 * math.pi * RADIUS / LAP, 0.0, 2.0 * math.pi / LAP)

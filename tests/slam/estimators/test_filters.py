@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from point_world import START, START_COV, driven, fed, joint_state, make, random_log, sight, step
+from predicted import predict_points
 from scipy.linalg import block_diag, expm
 
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.landmarks import initialize_point
 from sixthsense.core.motion import compose_jacobians
 from sixthsense.slam.estimators.ekf_algebra import propagate, seen_through, selected
-from sixthsense.testing.estimation import START, START_COV, driven, fed, joint_state, make, random_log, sight, step
-from sixthsense.testing.sight import predict_points
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 SEEDS = range(5)

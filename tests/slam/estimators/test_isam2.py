@@ -5,12 +5,7 @@ import math
 
 import numpy as np
 import pytest
-
-from sixthsense.config import ISAM2Config
-from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation
-from sixthsense.core.motion import Odometry
-from sixthsense.testing.estimation import (
+from point_world import (
     CONVERGED,
     START,
     make,
@@ -19,6 +14,11 @@ from sixthsense.testing.estimation import (
     sight,
     step,
 )
+
+from sixthsense.config import ISAM2Config
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.core.motion import Odometry
 
 POINTS = np.random.default_rng(3).uniform(-5, 5, (12, 2))
 DEFAULT = ISAM2Config()

@@ -7,6 +7,8 @@ import gtsam
 import numpy as np
 import pytest
 from laws.nees import assert_consistent, error_of, normalised
+from point_world import POINTS, START, driven, joint_state, make, noisy, sight, step
+from predicted import predict_walls
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose, wrap_angle
@@ -15,8 +17,6 @@ from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link
 from sixthsense.slam.estimators.isam2_chain import map_gain
-from sixthsense.testing.estimation import POINTS, START, driven, joint_state, make, noisy, sight, step
-from sixthsense.testing.sight import predict_walls
 
 SPARING = ISAM2Config(undo_probability=1.0, least_gain=0.05)
 KEEPING = dataclasses.replace(SPARING, least_gain=0.0)

@@ -5,11 +5,11 @@ import pytest
 from laws.nees import assert_consistent, error_of, normalised
 from laws.parameters import PRIOR, TRUE, WHEELS
 from laws.prior_map import begun, prior_from
+from point_world import POINTS, make, noisy, step
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.testing.batch import to_robot
-from sixthsense.testing.estimation import POINTS, make, noisy, step
 
 WALLS = np.array([[0.0, 5.0], [0.5 * np.pi, 4.0]])
 LANDMARKS = np.vstack([POINTS, WALLS])

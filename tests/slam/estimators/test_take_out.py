@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from laws.links import linked
+from point_world import assert_same, joint_state, make, step
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, WheelTerms
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators import Link
-from sixthsense.testing.estimation import assert_same, joint_state, make, step
 
 
 def seen(smoother, before, after, off=0.01):

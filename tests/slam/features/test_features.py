@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from predicted import predict_walls
 from scanned import box, look
 
 from sixthsense.config import PartitionConfig, merge, preset
@@ -15,7 +16,6 @@ from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
 from sixthsense.slam.features.lines import ransac
 from sixthsense.slam.features.partition import partition, split, split_pieces
-from sixthsense.testing.sight import predict_walls
 
 
 def corners():
