@@ -14,7 +14,7 @@ from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.front_end import FrontEnd
 from sixthsense.slam.scans.place_search import PlaceSearch
-from sixthsense.testing.laws import Failures, Law, checks_of, message_of
+from sixthsense.testing.laws import Failures, Law, Laws, checks_of, message_of
 
 Checks = Iterator[tuple[str, Callable[[], None]]]
 """(name, check): a check without arguments raises an exception if the part breaks the law of that name"""
@@ -113,13 +113,14 @@ def _laws_of(kind: str, part: Any) -> list[Law]:
     from sixthsense.navigation.planners import make_planner
     from sixthsense.testing import navigation, perception, places
 
-    make, laws = {
+    by_kind: dict[str, tuple[Callable[[], object], Laws]] = {
         "planner": (lambda: make_planner(part), navigation.PLANNER_LAWS),
         "explorer": (lambda: make_part(parts.EXPLORERS, part, np.random.default_rng(7)), navigation.EXPLORER_LAWS),
         "extractor": (lambda: perception.extractor_of(part, preset()), perception.EXTRACTOR_LAWS),
         "front_end": (lambda: perception.front_end_of(part, 0), perception.FRONT_END_LAWS),
         "place_search": (lambda: make_part(parts.PLACE_SEARCHES, part), places.LAWS),
-    }[kind]
+    }
+    make, laws = by_kind[kind]
     try:
         make()
     except Exception as error:
