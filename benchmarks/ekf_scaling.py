@@ -7,12 +7,12 @@ import math
 import numpy as np
 from harness import Figures, alternate
 from numpy.typing import NDArray
+from sixthsense.testing.sight import predict_points
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.ekf import EKF
-from sixthsense.testing.sight import predict_points
 
 SIZES = (30, 100, 300, 1000, 2000)
 SEEN = 10

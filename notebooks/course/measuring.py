@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, norm, t
 
+from course.drawn import cov, pose
+from course.exercise import Exercise, Mistake
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.course.drawn import cov, pose
-from sixthsense.course.exercise import Exercise, Mistake
 
 
 def _covs(rng: np.random.Generator, count: int) -> Array:

@@ -1,12 +1,12 @@
 """The exercises of the notebooks, and what says in words and numbers how an answer is off.
 
-from sixthsense.course import check
+from course import check
 check("nees", nees)
 """
 
 import os
 
-from sixthsense.course.checking import check
+from course.checking import check
 
 __all__ = ["LONG", "check"]
 

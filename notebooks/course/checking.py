@@ -6,9 +6,9 @@ import os
 from functools import cache
 from typing import Any
 
+from course import exploring, filtering, graphs, measuring, scanning
+from course.exercise import UNANSWERED, Exercise, Judged, compared
 from sixthsense.config.errors import InputError, nearest
-from sixthsense.course import exploring, filtering, graphs, measuring, scanning
-from sixthsense.course.exercise import UNANSWERED, Exercise, Judged, compared
 
 
 class NotRightError(AssertionError):

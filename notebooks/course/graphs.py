@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from course.drawn import cov, pose
+from course.exercise import Exercise, Mistake
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.course.drawn import cov, pose
-from sixthsense.course.exercise import Exercise, Mistake
 
 Pairs = NDArray[np.int64]
 

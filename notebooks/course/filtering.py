@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from course.drawn import cov, points, pose
+from course.exercise import Exercise, Judged, Mistake, verdict
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.course.drawn import cov, points, pose
-from sixthsense.course.exercise import Exercise, Judged, Mistake, verdict
 
 
 def _arc(v: float, w: float, t: float) -> Array:

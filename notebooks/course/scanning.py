@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from course.drawn import mask, points
+from course.exercise import Exercise, Mistake
 from sixthsense.core.geometry import Array, rotation
-from sixthsense.course.drawn import mask, points
-from sixthsense.course.exercise import Exercise, Mistake
 
 
 def _scan(rng: np.random.Generator) -> tuple[Any, ...]:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from sixthsense.course.drawn import Bools, mask
-from sixthsense.course.exercise import Exercise, Judged, Mistake, verdict
+from course.drawn import Bools, mask
+from course.exercise import Exercise, Judged, Mistake, verdict
 
 _DIAGONAL = math.sqrt(2.0)
 _CROSS: Bools = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.bool_)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from sixthsense.course import check
-from sixthsense.course.checking import examine, exercises
-from sixthsense.course.exercise import Exercise
+from course import check
+from course.checking import examine, exercises
+from course.exercise import Exercise
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 FOLDED = re.compile(r"<summary>Solution</summary>\n\n```python\n(.*?)\n```\n\n</details>", re.DOTALL)
@@ -170,9 +170,9 @@ WRONG_PARTS = [
         "EKF-SLAM",
         "noise = turn @ odometry.cov @ turn.T",
         "noise = odometry.cov",
-        "joint covariance of batch least squares",
+        "predicting in pieces is predicting at once",
     ),
-    ("EKF-SLAM", "observations[i].z - z", "z - observations[i].z", "sigma from the reference"),
+    ("EKF-SLAM", "observations[i].z - z", "z - observations[i].z", "distance from the truth"),
     ("EKF-SLAM", "self.cov[:3, :3].copy()", "self.cov[:3, :3]", "returned arrays are copies"),
     ("explorer", "return targets[int(np.argmin(ways))]", "return None", "the other room is looked at"),
 ]
