@@ -30,7 +30,6 @@ from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import relations_error
-from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.run import Run, load
 from sixthsense.logs.log import Log, Relations
 from sixthsense.logs.replay_input import ReplayInput
@@ -237,7 +236,9 @@ def machine() -> str:
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
     """Print rows in columns; the first row holds the column names."""
-    print(text_table(rows, align="right"))
+    import pandas as pd
+
+    print(pd.DataFrame(rows[1:], columns=rows[0]).to_string(index=False))
 
 
 def write_pages() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from harness import Figures
+from matches import judge_matches
 from repetition_scenes import out_and_back
 
 from sixthsense.config import Config
@@ -11,7 +12,6 @@ from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command
-from sixthsense.evaluation.matches import judge_matches
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.figures.run import Run

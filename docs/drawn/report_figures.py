@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,16 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense import figures as fig
 from sixthsense.cli import main as sixthsense
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.metrics import true_landmarks
-from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, plot, record, window
+from sixthsense.figures import legend, new_axes, plot
 from sixthsense.figures.plot import ESTIMATE, LANDMARK, OBSERVATION, PLAN, WALL
 from sixthsense.navigation.planners.shortcut import shortcut
 from sixthsense.running.warmup import warm_up
 from sixthsense.slam.features import Features
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
+
+import drawing
+from drawing import Recording, draw_truth, features_of, record, strays_m, window
 
 SCAN = 48  # a keyframe of the apartment that sees corridor, living room, bath and kitchen
 CORNERS = {"landmarks": "corners"}
@@ -62,16 +67,16 @@ def pipeline() -> Any:
     titles = "scan", "returns", "discontinuity: first level", "IEP: second level", "RANSAC, least squares", "landmarks"
     for ax, title in zip(axes, titles, strict=True):
         draw_truth(ax, run.scene, near=pose.position, reach_m=5.0)
-        fig.draw_robot(ax, pose, run.trace.radius_m)
+        drawing.draw_robot(ax, pose, run.trace.radius_m)
         ax.set_title(title)
         ax.label_outer()
-    fig.draw_beams(axes[0], pose, scan)
-    fig.draw_returns(axes[1], pose, scan)
-    fig.draw_partitions(axes[2], pose, scan, features.pieces)
-    fig.draw_partitions(axes[3], pose, scan, features.spans, least=run.trace.config.features.lines.min_points)
+    drawing.draw_beams(axes[0], pose, scan)
+    drawing.draw_returns(axes[1], pose, scan)
+    drawing.draw_partitions(axes[2], pose, scan, features.pieces)
+    drawing.draw_partitions(axes[3], pose, scan, features.spans, least=run.trace.config.features.lines.min_points)
     bare = Features(features.walls, (), features.pieces, features.spans)
-    fig.draw_detections(axes[4], pose, bare)
-    fig.draw_detections(axes[5], pose, features)
+    drawing.draw_detections(axes[4], pose, bare)
+    drawing.draw_detections(axes[5], pose, features)
     legend(figure)
     return figure
 
@@ -84,8 +89,8 @@ def partitions() -> Any:
     least = run.trace.config.features.lines.min_points
     for ax, parts, by in zip(axes, (features.pieces, features.spans), ("discontinuity", "IEP"), strict=True):
         draw_truth(ax, run.scene, "#E4E4E4", pose.position, 5.0)
-        fig.draw_partitions(ax, pose, scan, parts, least)
-        fig.draw_robot(ax, pose, run.trace.radius_m)
+        drawing.draw_partitions(ax, pose, scan, parts, least)
+        drawing.draw_robot(ax, pose, run.trace.radius_m)
         ax.set_title(f"{sum(len(part) >= least for part in parts)} partitions of {least} returns or more, by {by}")
     return figure
 
@@ -95,9 +100,9 @@ def detections() -> Any:
     run = apartment()
     figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
     draw_truth(ax, run.scene)
-    fig.draw_returns(ax, run.pose(SCAN), run.scans[SCAN], size=6.0)
-    fig.draw_detections(ax, run.pose(SCAN), run.features(SCAN))
-    fig.draw_robot(ax, run.pose(SCAN), run.trace.radius_m)
+    drawing.draw_returns(ax, run.pose(SCAN), run.scans[SCAN], size=6.0)
+    drawing.draw_detections(ax, run.pose(SCAN), run.features(SCAN))
+    drawing.draw_robot(ax, run.pose(SCAN), run.trace.radius_m)
     legend(figure)
     return figure
 
@@ -110,7 +115,7 @@ def state() -> Any:
     plot.draw_landmarks(ax, run.trace, enlarged=10.0)
     path = np.array(run.trace.estimates)[:, :2]
     ax.plot(path[:, 0], path[:, 1], color=ESTIMATE, linewidth=1.0, label="estimated path")
-    fig.draw_robot(ax, run.trace.final.pose, run.trace.radius_m)
+    drawing.draw_robot(ax, run.trace.final.pose, run.trace.radius_m)
     legend(figure)
     return figure
 
@@ -122,12 +127,12 @@ def hit_grid() -> Any:
     figure, axes = new_axes(2, 2, 12.0, 8.8)
     for ax, title in zip(axes, ("layout", "detected walls and landmarks", "laser", "hit grid so far"), strict=True):
         draw_truth(ax, run.scene, WALL if title == "layout" else "#C8C8C8")
-        fig.draw_robot(ax, pose, run.trace.radius_m)
+        drawing.draw_robot(ax, pose, run.trace.radius_m)
         ax.set_title(title)
         ax.label_outer()
-    fig.draw_detections(axes[1], pose, run.features(SCAN))
-    fig.draw_beams(axes[2], pose, run.scans[SCAN])
-    fig.draw_hits(axes[3], run.grid(SCAN), run.trace.config.grid.cell_m)
+    drawing.draw_detections(axes[1], pose, run.features(SCAN))
+    drawing.draw_beams(axes[2], pose, run.scans[SCAN])
+    drawing.draw_hits(axes[3], run.grid(SCAN), run.trace.config.grid.cell_m)
     return figure
 
 
@@ -152,11 +157,11 @@ def replanning() -> Any:
     for ax, n, title in ((axes[0], i, "planned"), (axes[1], i + 1, "replanned")):
         k = made[n]
         draw_truth(ax, run.scene)
-        fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
+        drawing.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
         if n > i:
             ax.plot(*plans[i].T, color=PLAN, linewidth=1.0, linestyle=":", zorder=4, label="previous plan")
-        fig.draw_path(ax, plans[n])
-        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        drawing.draw_path(ax, plans[n])
+        drawing.draw_robot(ax, run.pose(k), run.trace.radius_m)
         window(ax, np.concatenate(plans[i : i + 2]))
         ax.set_title(f"{title} at {run.time_s(k):.1f} s, {length(plans[n]):.1f} m to go")
     legend(figure)
@@ -175,9 +180,9 @@ def trajectory() -> Any:
     figure, axes = new_axes(1, 3, 15.0, 5.4)
     for ax, (gain, k, plan, optimised) in zip(axes, best, strict=True):
         draw_truth(ax, run.scene)
-        fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
-        fig.draw_path(ax, plan, optimised)
-        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        drawing.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
+        drawing.draw_path(ax, plan, optimised)
+        drawing.draw_robot(ax, run.pose(k), run.trace.radius_m)
         window(ax, plan)
         change = f"{len(plan)} way points, {len(optimised)} after the shortcut, {100 * gain:.0f} cm saved"
         ax.set_title(f"{run.time_s(k):.1f} s: {change}", fontsize=10)
@@ -192,9 +197,9 @@ def seen_region() -> Any:
     for ax, k in zip(axes, (SCAN, len(run.scans) - 1), strict=True):
         draw_truth(ax, run.scene, WALL)
         space = run.grid(k).free_space()
-        fig.draw_seen(ax, space)
+        drawing.draw_seen(ax, space)
         ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.2)
-        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        drawing.draw_robot(ax, run.pose(k), run.trace.radius_m)
         ax.set_title(f"{run.time_s(k):.1f} s: {space.seen.sum() * space.cell_m**2:.0f} m² seen")
     return figure
 
@@ -206,14 +211,14 @@ def moments() -> Any:
     for ax, k in zip(axes, np.linspace(0, len(run.scans) - 1, 6).astype(int), strict=True):
         grid, landmarks = run.grid(k), run.trace.key_estimates[k].landmarks
         draw_truth(ax, run.scene)
-        fig.draw_seen(ax, grid.free_space())
-        fig.draw_hits(ax, grid, run.trace.config.grid.cell_m)
+        drawing.draw_seen(ax, grid.free_space())
+        drawing.draw_hits(ax, grid, run.trace.config.grid.cell_m)
         if run.plans[k]:
-            fig.draw_path(ax, run.trace.plans[run.plans[k] - 1])
+            drawing.draw_path(ax, run.trace.plans[run.plans[k] - 1])
         ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.4, zorder=6, label="estimated path")
         style = {"facecolors": "none", "edgecolors": OBSERVATION, "linewidths": 1.2, "zorder": 7}
         ax.scatter(landmarks[:, 0], landmarks[:, 1], s=22.0, label="landmarks in the state", **style)
-        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        drawing.draw_robot(ax, run.pose(k), run.trace.radius_m)
         ax.set_title(f"{run.time_s(k):.1f} s")
         ax.label_outer()
     legend(figure)
@@ -227,15 +232,15 @@ def iep() -> Any:
     poses = [Pose.from_array(row) for row in run.trace.key_truths]
     rough = [features_of(scan, WITHOUT_IEP) for scan in run.scans]
     fine = [run.features(k) for k in range(len(run.scans))]
-    gain = [fig.strays_m(p, a, scene) - fig.strays_m(p, b, scene) for p, a, b in zip(poses, rough, fine, strict=True)]
+    gain = [strays_m(p, a, scene) - strays_m(p, b, scene) for p, a, b in zip(poses, rough, fine, strict=True)]
     k = int(np.argmax(gain))
     figure, axes = new_axes(1, 2, 13.0, 6.4)
     for ax, features, of in ((axes[0], rough[k], "first"), (axes[1], fine[k], "second")):
         draw_truth(ax, scene, near=poses[k].position, reach_m=3.6)
-        fig.draw_returns(ax, poses[k], run.scans[k])
-        fig.draw_detections(ax, poses[k], features)
-        fig.draw_robot(ax, poses[k], run.trace.radius_m)
-        off = fig.strays_m(poses[k], features, scene)
+        drawing.draw_returns(ax, poses[k], run.scans[k])
+        drawing.draw_detections(ax, poses[k], features)
+        drawing.draw_robot(ax, poses[k], run.trace.radius_m)
+        off = strays_m(poses[k], features, scene)
         ax.set_title(f"RANSAC on {of}-level partitions: maximum error {off:.2f} m")
     legend(figure)
     return figure
@@ -244,7 +249,7 @@ def iep() -> Any:
 def culling() -> Any:
     """Figure 12: a bad landmark before and after its removal."""
     run = record(preset("default", **ROUGH))
-    bad = fig.worst_culled(run)
+    bad = drawing.worst_culled(run)
     figure, axes = new_axes(1, 2, 13.0, 6.4)
     for ax, k, event in (
         (axes[0], bad.gone - 1, f"initialised at {run.time_s(bad.born):.1f} s"),

@@ -306,7 +306,7 @@ def _draw_axis(ax: Any, run: Errors, frame: Frame, axis: int, name: str) -> None
     error, cov = run.in_axes(frame)
     scale, unit = (1.0, "m") if axis < run.orientations.shape[1] else (float(np.degrees(1.0)), "°")
     bound = 3.0 * scale * np.sqrt(cov[rows, axis, axis])
-    style: dict[str, Any] = {"color": ESTIMATE, "linewidth": 0.9}
+    style: dict[str, Any] = {"color": ESTIMATE, "label": "error"}
     draw_tube(ax, _seconds(run)[rows], scale * error[rows, axis], bound, "stated ±3σ", **style)  # noqa: RUF001
     ax.set_ylabel(f"{name} [{unit}]")
 

@@ -25,8 +25,8 @@ from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import LABELS, RunTable, Sample
+from sixthsense.evaluation.results import html_of
 from sixthsense.evaluation.summary import summary
-from sixthsense.evaluation.tables import html_table, text_table
 from sixthsense.record.writing import FolderLock
 from sixthsense.running.progress import progress_bar
 from sixthsense.running.warmup import prepare
@@ -226,12 +226,12 @@ class Campaign(RunTable):
             found.append(Sample(name, config, partial(dict, metrics), partial(curves.get, row["config_hash"])))
         return found
 
-    def summary(self) -> list[list[str]]:
-        """A heading, and a row per scene, preset and parts with means and outcomes; empty without runs."""
+    def summary(self) -> pd.DataFrame:
+        """A row per scene, preset and parts, which are the index, with means and outcomes; empty without runs."""
         frame, curves = self.frame(), self._rows.curves()
         found = [curves.get(key) for key in frame["config_hash"]] if len(frame) else []
         axes = [axis for axis in AXES if axis in ALWAYS or frame[axis].nunique() > 1]
-        return summary(frame, axes, [None if one is None else one.nees for one in found]) if found else []
+        return summary(frame, axes, [None if one is None else one["nees"].to_numpy() for one in found])
 
     def _setting(self, axes: tuple[str, ...]) -> Config:
         """The configuration of the runs with these values of `AXES`, with seed 0."""
@@ -244,11 +244,10 @@ class Campaign(RunTable):
         return len(self._rows.rows.read())
 
     def __repr__(self) -> str:
-        return "\n".join([f"<Campaign {self.name}: {len(self)} runs>", text_table(self.summary())])
+        return "\n".join([f"<Campaign {self.name}: {len(self)} runs>", self.summary().to_string()])
 
     def _repr_html_(self) -> str:
-        head, *rows = self.summary() or [["no run yet"]]
-        return html_table(head, rows)
+        return html_of(self.summary())
 
 
 def load_campaign(folder: Path | str) -> Campaign:

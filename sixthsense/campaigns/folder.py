@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -21,7 +20,7 @@ from sixthsense.config.errors import InputError, reason_of
 from sixthsense.config.files import instead_of
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
-from sixthsense.evaluation.curves import Curves
+from sixthsense.evaluation.curves import CURVES as COLUMNS
 from sixthsense.evaluation.groups import flat
 from sixthsense.record.writing import whole
 
@@ -162,9 +161,9 @@ class CampaignRows:
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Write the row of one run and its curves, replacing older ones; raises OSError that names the file."""
-        if isinstance(found := row.get(CURVES), Curves):
+        if (found := row.get(CURVES)) is not None:
             self._curves.mkdir(parents=True, exist_ok=True)
-            columns = {f.name: getattr(found, f.name).astype(np.float32) for f in dataclasses.fields(found)}
+            columns = {name: found[name].to_numpy(np.float32) for name in COLUMNS}
             with whole(self._curves / f"run-{row['config_hash']}.npz") as file:
                 np.savez_compressed(file, **columns)
         self.rows.add({name: value for name, value in row.items() if name != CURVES and value is not None})
@@ -176,14 +175,16 @@ class CampaignRows:
         frame = import_extra("pandas").DataFrame(rows, columns=list(names))
         return frame.sort_values(list(ORDER), ignore_index=True)
 
-    def curves(self) -> dict[str, Curves]:
+    def curves(self) -> dict[str, pd.DataFrame]:
         """The errors along each run, by hash; none for a run that failed. InputError for a damaged file."""
+        import pandas as pd
+
         found = {}
         for file in sorted(self._curves.glob("run-*.npz")):
             try:
                 with np.load(file) as columns:
-                    values = {f.name: columns[f.name].astype(np.float64) for f in dataclasses.fields(Curves)}
+                    values = {name: columns[name].astype(np.float64) for name in COLUMNS}
             except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
                 raise InputError(file, f"cannot be read ({reason_of(error)})", "the curves of a run") from None
-            found[file.stem.removeprefix("run-")] = Curves(**values)
+            found[file.stem.removeprefix("run-")] = pd.DataFrame(values)
         return found

@@ -91,11 +91,10 @@ class Campaign(Options):
 def _finish(out: Path, requested: set[str], interrupted: bool) -> int:
     from sixthsense.campaigns import CampaignRows, load_campaign
     from sixthsense.campaigns.worker import FAILED as FAILED_RUN
-    from sixthsense.evaluation.tables import text_table
 
     frame = CampaignRows(out).frame()
     if len(frame):
-        print(text_table(load_campaign(out).summary()))
+        print(load_campaign(out).summary().to_string())
     finished = frame[frame["config_hash"].isin(requested)]
     failed = finished[finished["outcome"] == FAILED_RUN]
     if len(failed):

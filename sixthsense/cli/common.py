@@ -205,14 +205,12 @@ def show_end(run: Run, options: Common) -> int:
     The places that an exploration has left unseen are listed with the metrics. If it is strict, a run whose map is
     doubtful or broken has an exit code of its own where it would have ended well.
     """
-    from sixthsense.evaluation.summary import run_summary
-
     if options.verbose:
         print(run.metrics)
         for place in run.trace.left:
             print(f"left unseen: {_described(place)}")
         print()
-    for label, text in (run_summary(run.metrics) | dict(_unknown(run)) | dict(_left(run)) | dict(_files(run))).items():
+    for label, text in (run.summary | dict(_unknown(run)) | dict(_left(run)) | dict(_files(run))).items():
         print(f"{label:12} {text}")
     print(f"written to {run.folder}/")
     code = EXIT_CODES.get(run.outcome, FAILED)

@@ -65,8 +65,9 @@ class Report(Options):
             raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
         from sixthsense.evaluation.measured_run import check_folders
         from sixthsense.figures.animation import check_film, film_prior
+        from sixthsense.figures.comparison import compare
         from sixthsense.figures.plot import Form
-        from sixthsense.figures.report import compact, report
+        from sixthsense.figures.report import report
         from sixthsense.figures.run import load
 
         form: Form = checked("figures", Form, options.figures)
@@ -84,7 +85,7 @@ class Report(Options):
         if out is None:
             out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
         files = report(runs, out, form)
-        print(compact(runs))
+        print(compare(runs).metrics().drop(columns="meaning").to_string())
         for run in runs:
             for part in run.missing:
                 announce(f"note: {run.folder}: found no record of {part}")
@@ -105,11 +106,10 @@ def _report_campaign(options: Report, is_animated: bool, form: Form) -> int:
         raise InputError("animate", "found with a campaign", "with one run")
     from sixthsense.campaigns import load_campaign
     from sixthsense.campaigns.report import report_campaign
-    from sixthsense.evaluation.tables import text_table
 
     out = options.out or Path(folder) / "figures"
     files = report_campaign(folder, out, form)
-    print(text_table(load_campaign(folder).summary()))
+    print(load_campaign(folder).summary().to_string())
     print(f"written to {out}/: {', '.join(file.name for file in files)}")
     return DONE
 

@@ -1,4 +1,4 @@
-"""How many independent samples the correlated errors of a trajectory are worth, and the band that follows.
+"""How many independent samples the correlated errors of a trajectory are worth.
 
 The mean of N correlated NEES scatters as that of N / tau independent ones, with tau = 1 + 2 sum of the autocorrelation
 over all lags. The sum ends where the sum of two successive lags is no longer positive: the initial positive sequence
@@ -12,10 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.metrics import nees_band
 
-EFFECTIVE = "pose_nees_effective_samples"
-"""key of the number of a run's pose NEES among its metrics"""
 LEAST_SAMPLES = 30.0
 """Effective samples below which tau itself is unknown: a run must be many times as long as its errors last.
 
@@ -67,14 +64,6 @@ def effective_samples_of_errors(whitened: Sequence[Array]) -> tuple[float, float
 def effective_number(nees: Sequence[Array], whitened: Sequence[Array]) -> float:
     """The smaller one of both numbers for the NEES of `whitened` errors; the band of their mean follows from it."""
     return min(effective_samples(nees), effective_samples_of_errors(whitened)[0])
-
-
-def band_of_runs(samples: float, runs: int = 1, confidence: float = 0.95) -> tuple[float, float]:
-    """The band of the mean pose NEES of independent runs with so many effective samples together.
-
-    With fewer than `LEAST_SAMPLES` their number is not known, and each run counts as a single sample.
-    """
-    return nees_band(samples if samples >= LEAST_SAMPLES else runs, confidence=confidence)
 
 
 def whitened_errors(error: Array, cov: Array) -> Array:

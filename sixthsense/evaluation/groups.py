@@ -1,4 +1,4 @@
-"""Runs in groups: which fields tell them apart, and the spread of their errors over the runs of a group."""
+"""Runs that are compared: which fields tell them apart, their groups, and their curves at common places."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.parts import KINDS
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.curves import Curves, Over
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LABELS = ("scene", "preset", *(parts.kind for parts in KINDS), "seed")
 """fields of the configuration that a table of several runs has as columns"""
@@ -41,8 +43,10 @@ class Sample:
     """its configuration"""
     measure: Callable[[], Mapping[str, Any]]
     """returns its metrics"""
-    curves: Callable[[], Curves | None]
+    curves: Callable[[], pd.DataFrame | None]
     """returns its errors along its way, if they are known"""
+    run: Any = None
+    """with its record, if there is one"""
 
     @cached_property
     def metrics(self) -> Mapping[str, Any]:
@@ -51,8 +55,8 @@ class Sample:
 
     @cached_property
     def fields(self) -> Fields:
-        """As `fields_of` has them."""
-        return fields_of(self.name, self.config)
+        """The fields of its configuration by dotted names, and its name."""
+        return {RUN: self.name} | flat(as_table(self.config))
 
 
 class RunTable(ABC):
@@ -66,44 +70,42 @@ class RunTable(ABC):
         """Its runs, under a name."""
 
 
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Runs with the same values of the fields by which they are grouped."""
+def table_of(samples: Sequence[Sample]) -> pd.DataFrame:
+    """A row per run with index `run`: scene, preset, the parts, seed, and a column per metric; units in `attrs`."""
+    import pandas as pd
 
-    name: str
-    """these values"""
-    samples: tuple[Sample, ...]
-    """at least one"""
+    from sixthsense.evaluation.results import UNITS
 
-    def curves(self) -> list[Curves]:
-        """Of the runs whose errors are known."""
-        return [found for sample in self.samples if (found := sample.curves()) is not None]
-
-    def metric(self, key: str) -> Array:
-        """(N,) of the runs that have this metric."""
-        values = (sample.metrics.get(key) for sample in self.samples)
-        found = np.array([value for value in values if isinstance(value, (int, float))], dtype=np.float64)
-        return found[np.isfinite(found)]
+    rows = [{name: getattr(one.config, name) for name in LABELS} | dict(one.metrics) for one in samples]
+    frame = pd.DataFrame(rows, index=pd.Index([one.name for one in samples], name=RUN))
+    frame.attrs["units"] = {key: UNITS[key] for key in frame if key in UNITS}
+    return frame
 
 
-def grouped(samples: Sequence[Sample], by: str | Sequence[str]) -> list[Group]:
+def grouped(samples: Sequence[Sample], by: str | Sequence[str]) -> dict[str, list[Sample]]:
     """The runs by their values of one or several fields, in the order of their first runs.
 
     Raises InputError for a field that no run has, with the nearest name, and for more than 12 groups.
     """
     names = tuple(by) if isinstance(by, (list, tuple)) else (by,)
-    tables = [sample.fields for sample in samples]
-    known = list(dict.fromkeys(name for table in tables for name in table))
+    known = list(dict.fromkeys(name for one in samples for name in one.fields))
     for name in names or ("",):
         if name not in known:
             others = ", or another field of the configuration"
             raise InputError("by", f"found {shown(name)}", ", ".join((RUN, *LABELS)) + others, nearest(name, known))
-    members: dict[str, list[Sample]] = {}
-    for sample, table in zip(samples, tables, strict=True):
-        members.setdefault(" · ".join(labelled(name, table.get(name)) for name in names), []).append(sample)
-    if len(members) > MOST_GROUPS:
-        raise InputError("by", f"found {len(members)} groups by {', '.join(names)}", f"at most {MOST_GROUPS}")
-    return [Group(name, tuple(found)) for name, found in members.items()]
+    groups: dict[str, list[Sample]] = {}
+    for one in samples:
+        groups.setdefault(" · ".join(labelled(name, one.fields.get(name)) for name in names), []).append(one)
+    if len(groups) > MOST_GROUPS:
+        raise InputError("by", f"found {len(groups)} groups by {', '.join(names)}", f"at most {MOST_GROUPS}")
+    return groups
+
+
+def numbers(samples: Sequence[Sample], key: str) -> Array:
+    """(N,) values of a metric, of the runs that have it as a finite number."""
+    values = (sample.metrics.get(key) for sample in samples)
+    found = np.array([value for value in values if isinstance(value, (int, float))], dtype=np.float64)
+    return found[np.isfinite(found)]
 
 
 def differing(runs: Sequence[Fields], names: Iterable[str] | None = None) -> list[str]:
@@ -120,10 +122,8 @@ def usual_grouping(runs: Sequence[Fields]) -> list[str]:
 def differences(runs: Sequence[Fields]) -> str:
     """What differs between the runs and what they have in common, for the title of a figure."""
     apart = [name for name in differing(runs) if name != RUN]
-    if "preset" in apart:  # without the fields that each preset sets
-        presets = dict.fromkeys(fields["preset"] for fields in runs)
-        by_preset = [[fields for fields in runs if fields["preset"] == preset] for preset in presets]
-        apart = [name for name in apart if name in LABELS or any(differing(alike, [name]) for alike in by_preset)]
+    if "preset" in apart:  # a preset stands for the fields that it sets
+        apart = [name for name in apart if name in LABELS]
     apart.sort(key=lambda name: name not in LABELS)
     counts = [f"{name} ({len({repr(fields.get(name)) for fields in runs})})" for name in apart[:_MOST_NAMED]]
     counts += [f"{len(apart) - _MOST_NAMED} more"] if len(apart) > _MOST_NAMED else []
@@ -139,11 +139,6 @@ def labelled(name: str, value: Any) -> str:
     return str(value) if name in (RUN, *_PLAIN) else f"{name} {value}"
 
 
-def fields_of(name: str, config: Config) -> Fields:
-    """All fields of a configuration by dotted names, and the `name` of the run."""
-    return {RUN: name} | flat(as_table(config))
-
-
 def flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     """The settings of a nested table by dotted names."""
     found: dict[str, Any] = {}
@@ -152,20 +147,18 @@ def flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return found
 
 
-def resampled(runs: Sequence[Curves], quantity: str, over: Over) -> tuple[Array, Array]:
-    """A quantity of several runs at the same places: (P,) times or distances, and (N, P) values.
+def resampled(runs: Sequence[pd.DataFrame], quantity: str, over: str) -> pd.DataFrame:
+    """A column of the curves of several runs at the same places: a row per place of `over`, a column per run.
 
     Each value is that of the run's latest scan that has one, and NaN before its first and after its last scan. The
-    places go as far as more than half of the runs do, and a run has a value at each. `quantity` is a field of `Curves`.
+    places go as far as more than half of the runs do, and a run has a value at each.
     """
-    axes = [one.over(over) for one in runs]
-    reached = sorted(float(axis[-1]) for axis in axes)[(len(axes) - 1) // 2]
+    import pandas as pd
+
+    reached = sorted(float(one[over].iloc[-1]) for one in runs)[(len(runs) - 1) // 2]
     places = np.linspace(0.0, reached, _POINTS)
-    values = np.full((len(runs), _POINTS), np.nan)
-    for row, axis, one in zip(values, axes, runs, strict=True):
-        known = np.flatnonzero(np.isfinite(getattr(one, quantity)))
-        latest = np.searchsorted(axis[known], places, side="right") - 1
-        inside = (latest >= 0) & (places <= axis[-1])
-        row[inside] = getattr(one, quantity)[known[latest[inside]]]
-    known = np.isfinite(values).any(axis=0)
-    return places[known], values[:, known]
+    columns = {}
+    for k, one in enumerate(runs):
+        known = one.dropna(subset=[quantity]).drop_duplicates(over, keep="last").set_index(over)[quantity]
+        columns[k] = known.reindex(places, method="ffill").where(places <= one[over].iloc[-1])
+    return pd.DataFrame(columns).dropna(how="all")

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sixthsense.core.covariance import landmark_covariances
-from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.source import seconds
 from sixthsense.evaluation import metrics
+from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import defined_poses
-from sixthsense.evaluation.effective import EFFECTIVE, effective_number, whitened_errors
-from sixthsense.evaluation.matches import discarded_share, landmark_identities
+from sixthsense.evaluation.curves import key_errors, key_poses
 from sixthsense.evaluation.results import QUANTITIES, Metrics
-from sixthsense.evaluation.true_identities import TrueLaser, true_identities
+from sixthsense.evaluation.true_identities import TrueLaser, landmark_identities, true_identities
 from sixthsense.record.trace import STAGES
 from sixthsense.simulation.scene import Scene
 
@@ -43,14 +41,11 @@ def measure(trace: Trace) -> Metrics:
         out["verdict"], out["map_wrong_probability"] = str(trace.verdict), trace.verdict.probability
     if trace.config.front_end == "landmarks":
         out["landmarks"] = len(trace.records)
-        out["landmarks_culled"] = trace.culled
-        out["walls_merged"] = trace.walls_merged
     if trace.loop_closures is not None:
-        out |= {f"loop_closures_{name}": count for name, count in trace.loop_closures._asdict().items()}
+        out["loop_closures_found"] = trace.loop_closures.found
     for name, parameters in (("wheel_", trace.wheels), ("sensor_", trace.sensor)):
         if parameters is not None:  # (2, n), values and sigmas
-            keys = sorted((key for key in QUANTITIES if key.startswith(name)), key=lambda key: "sigma" in key)
-            out |= zip(keys, parameters.ravel().tolist(), strict=True)
+            out |= zip((key for key in QUANTITIES if key.startswith(name)), parameters[0].tolist(), strict=True)
     if trace.outcome.startswith("explored") or trace.left:
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
@@ -106,21 +101,15 @@ def _relations(trace: Trace) -> dict[str, float]:
     translation, angle = metrics.relations_error(stamps, poses, given.stamps[reached], given.poses[reached])
     return {
         "relations_trans_m_mean": float(translation.mean()),
-        "relations_trans_m_std": float(translation.std()),
-        "relations_trans_m_max": float(translation.max()),
         "relations_rot_deg_mean": float(np.degrees(angle).mean()),
-        "relations_rot_deg_std": float(np.degrees(angle).std()),
     }
 
 
 def _errors(trace: Trace) -> dict[str, float]:
     truth, estimate = np.array(trace.truths), np.array(trace.estimates)
-    rmse, worst = metrics.ate(estimate, truth)
-    dead_reckoning, _ = metrics.ate(np.array(trace.odometry), truth)
     out = {
-        "ate_rmse_m": rmse,
-        "ate_max_m": worst,
-        "dead_reckoning_ate_rmse_m": dead_reckoning,
+        "ate_rmse_m": metrics.ate(estimate, truth),
+        "dead_reckoning_ate_rmse_m": metrics.ate(np.array(trace.odometry), truth),
         "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
     }
     out |= relative_errors(trace)
@@ -144,26 +133,20 @@ def relative_errors(trace: Trace) -> dict[str, float]:
 
 
 def _consistency(trace: Trace) -> dict[str, float]:
-    """NEES of the pose after each update and of its prediction before it; NIS and discarded observations."""
+    """NEES of the pose after each update; NIS and discarded observations."""
     out: dict[str, float] = {}
-    if trace.key_truths:
-        poses, truth, covs = defined_poses(trace.key_estimates, trace.key_truths)
-        if len(poses):
-            error = poses - truth
-            error[:, 2] = wrap_angle(error[:, 2])
-            nees = metrics.nees_world(error, covs)
-            out["pose_nees_world_mean"] = float(np.mean(nees))
-            out[EFFECTIVE] = effective_number([nees], [whitened_errors(error, covs)])
-            out["pose_nees_in_band"] = metrics.share_in_band(nees, metrics.nees_band(1))
-            out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs)))
-        poses, truth, covs = defined_poses(trace.key_predicted, trace.key_truths)
-        if len(poses):
-            out["prediction_nees_world_mean"] = float(np.mean(metrics.nees_world(poses - truth, covs)))
+    if trace.key_truths and len((errors := key_errors(trace))[0]):
+        found = consistency([errors])
+        out["pose_nees_world_mean"], out["pose_nees_effective_samples"] = found.nees, found.samples
+        poses, covs = (one[-len(errors[0]) :] for one in key_poses(trace.key_estimates))
+        truth = np.array(trace.key_truths)[-len(errors[0]) :]
+        out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs)))
     dof = sum(a.dof for a in trace.associations)
     if dof:
         out["nis_mean_per_dof"] = sum(a.nis for a in trace.associations) / dof
-    if any(a.observations or a.discarded for a in trace.associations):
-        out["discarded_share"] = discarded_share(trace.associations)
+    discarded = sum(a.discarded for a in trace.associations)
+    if seen := discarded + sum(len(a.observations) + a.fused for a in trace.associations):
+        out["discarded_share"] = discarded / seen
     return out
 
 

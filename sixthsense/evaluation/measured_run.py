@@ -1,4 +1,4 @@
-"""`MeasuredRun`: the record and metrics of a run, in memory or from its folder; its poses and landmarks as tables."""
+"""`MeasuredRun`: the record and metrics of a run, in memory or from its folder; its poses and landmarks as frames."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from sixthsense.config.errors import InputError, did_you_mean, pandas
+from sixthsense.config.errors import InputError, did_you_mean
 from sixthsense.config.files import instead_of
 from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.curves import curves, key_distances, key_nees, key_poses, key_times
+from sixthsense.evaluation.curves import curves, key_nees, key_places, key_poses
 from sixthsense.evaluation.groups import Sample
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import TEXTS, Metrics
+from sixthsense.evaluation.summary import run_summary
 from sixthsense.record.store import RecordPart, load_record
 from sixthsense.record.trace import Trace
 from sixthsense.verdict.verdict import Verdict
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 MAX_RUNS = 12  # more panels in a figure are illegible
 
 _METRICS_OF_PART = {
-    RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks", "walls_merged", "loop_closures", "wheel"),
+    RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks", "loop_closures", "wheel"),
 }
 """per part of the record, prefixes of the metrics that need it"""
 
@@ -76,18 +77,53 @@ class MeasuredRun:
         return self.trace.verdict
 
     @property
-    def trajectory(self) -> Trajectory:
-        """The poses at keyframes; `trajectory.frame()` is their table."""
-        return Trajectory(self.trace)
+    def trajectory(self) -> pd.DataFrame:
+        """The poses at keyframes: a row each, world frame, metres and radians.
+
+        `stamp_ns` is the index. `time_s` and `distance_m` are since the first scan; `x`, `y`, `theta` the causal
+        estimate after the keyframe's update, `sigma_*` its standard deviations; `*_final` the pose as known at the end;
+        `*_true` and `nees`, of the causal pose, where there is truth.
+        """
+        import pandas as pd
+
+        trace, index = self.trace, pd.Index(self.trace.key_stamps_ns, name="stamp_ns")
+        if not trace.key_stamps_ns:
+            return pd.DataFrame(index=index)
+        poses, covs = key_poses(trace.key_estimates)
+        columns = {"time_s": key_places(trace, "time"), "distance_m": key_places(trace, "distance")}
+        columns |= _columns(poses, "{}") | _columns(np.sqrt(np.maximum(np.einsum("kii->ki", covs), 0.0)), "sigma_{}")
+        if len(trace.trajectory) == len(poses):  # not of a killed run
+            columns |= _columns(trace.trajectory, "{}_final")
+        if trace.key_truths:
+            columns |= _columns(np.array(trace.key_truths), "{}_true") | {"nees": key_nees(trace)}
+        return pd.DataFrame(columns, index=index)
 
     @property
-    def landmarks(self) -> Landmarks:
-        """The landmarks of the final map; `landmarks.frame()` is their table."""
-        return Landmarks(self.trace)
+    def landmarks(self) -> pd.DataFrame:
+        """The landmarks of the final map: a row each with index `id`, world frame, metres and radians.
+
+        `kind`; of a point `x`, `y` and their standard deviations `sigma_*`; of a wall its normal's angle `alpha` and
+        distance `d` from the origin, theirs, and the ends of its seen part, `from_x` to `to_y`; `observations`, the
+        number of them. NaN where a kind has no such column.
+        """
+        import pandas as pd
+
+        trace, final = self.trace, self.trace.final
+        sigmas = np.sqrt(np.maximum(np.diag(trace.joint_cov)[3:], 0.0)).reshape(-1, 2)
+        rows = []
+        for i, mean, sigma, is_wall in zip(final.ids.tolist(), final.landmarks, sigmas, final.walls, strict=True):
+            record, names = trace.records[i], ("alpha", "d") if is_wall else ("x", "y")
+            row: dict[str, Any] = {"kind": record.kind.name.lower(), "observations": record.observations}
+            row |= dict(zip(names, mean.tolist(), strict=True))
+            row |= {f"sigma_{name}": value for name, value in zip(names, sigma.tolist(), strict=True)}
+            if is_wall:
+                row |= dict(zip(_ENDS, record.extent.ravel().tolist(), strict=True))
+            rows.append(row)
+        return pd.DataFrame(rows, pd.Index(final.ids.tolist(), name="id", dtype="int64"), _LANDMARK_COLUMNS)
 
     def sample(self, name: str) -> Sample:
         """The run under a name, as one of several that are compared."""
-        return Sample(name, self.trace.config, lambda: dict(self.metrics), lambda: curves(self.trace))
+        return Sample(name, self.trace.config, lambda: dict(self.metrics), lambda: curves(self.trace), self)
 
     @property
     def title(self) -> str:
@@ -103,11 +139,29 @@ class MeasuredRun:
         stated = None if self._stated is None else self._stated.get("outcome")
         return str(stated or self.trace.outcome) or "running"
 
+    @property
+    def summary(self) -> dict[str, str]:
+        """The lines of its summary, label and text: outcome, map, accuracy, consistency, speed.
+
+        Accuracy and consistency are those of the audit by a truth, if one is in the folder.
+        """
+        told = self.audited.get("summary")
+        return run_summary(self.metrics) | (told if isinstance(told, dict) else {})
+
+    @property
+    def audited(self) -> dict[str, Any]:
+        """What the audit of a replay by a truth has left in the folder; empty without one."""
+        file = None if self.folder is None else self.folder / "audit.json"
+        return {} if file is None or not file.exists() else _read_json(file, "the numbers of an audit")
+
     def __repr__(self) -> str:
-        config = self.trace.config
-        of = f"{self.name or 'a run'}, {config.estimator}, {config.preset}, seed {config.seed}"
+        lines = self.summary
+        shown = "; ".join(f"{name} {lines[name]}" for name in ("map", "accuracy", "consistency") if name in lines)
         lacks = f"; missing: {', '.join(self.missing)}" if self.missing else ""
-        return f"<{type(self).__name__} of {of}: {self.outcome}, {len(self.trace.stamps_ns)} scans{lacks}>"
+        return f"<{type(self).__name__} {self.title}; {shown}{lacks}>"
+
+    def __str__(self) -> str:
+        return "\n".join([self.title, *(f"{label:12} {text}" for label, text in self.summary.items())])
 
     @classmethod
     def read(cls, folder: Path | str) -> Self:
@@ -126,16 +180,22 @@ class MeasuredRun:
         return cls(trace.name, trace, metrics, folder, missing)
 
 
-def _read_metrics(file: Path) -> Metrics:
-    """Read metrics.json; InputError if it is unreadable or invalid."""
+def _read_json(file: Path, what: str) -> dict[str, Any]:
+    """Read a table; InputError if the file is unreadable or damaged."""
     try:
-        metrics = json.loads(file.read_text(encoding="utf-8"))
+        table = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(file, f"cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError):
-        raise InputError(file, "found no JSON", "a run's metrics") from None
-    if not isinstance(metrics, dict):
-        raise InputError(file, "found no table", "a run's metrics")
+        raise InputError(file, "found no JSON", what) from None
+    if not isinstance(table, dict):
+        raise InputError(file, "found no table", what)
+    return table
+
+
+def _read_metrics(file: Path) -> Metrics:
+    """Read metrics.json; InputError if it is unreadable or invalid."""
+    metrics = _read_json(file, "a run's metrics")
     for key, value in metrics.items():
         if not isinstance(value, str if key in TEXTS else (int, float)):
             kind = "text" if key in TEXTS else "a number"
@@ -167,83 +227,9 @@ def _near(folder: Path) -> str:
     return did_you_mean(str(folder), beside)
 
 
-def numbered_names(runs: Sequence[MeasuredRun]) -> list[str]:
-    """The runs' names, with a number where several are equal."""
-    names = [run.name for run in runs]
+def numbered_names(names: Sequence[str]) -> list[str]:
+    """The names, with a number where several are equal."""
     return [f"{name} ({k + 1})" if names.count(name) > 1 else name for k, name in enumerate(names)]
-
-
-POSE = ("x", "y", "theta")
-
-
-class Trajectory:
-    """The poses of a run at its keyframes, `Run.trajectory`; `frame()` is their table."""
-
-    def __init__(self, trace: Trace) -> None:
-        """Show the record of a run."""
-        self._trace = trace
-
-    def frame(self) -> pd.DataFrame:
-        """A row per keyframe, world frame, metres and radians; InputError without pandas.
-
-        `stamp_ns` is the index. `time_s` and `distance_m` are since the first scan; `x`, `y`, `theta` the causal
-        estimate after the keyframe's update, `sigma_*` its standard deviations; `*_final` the pose as known at the end;
-        `*_true` and `nees`, of the causal pose, where there is truth.
-        """
-        trace = self._trace
-        if not trace.key_stamps_ns:
-            return pandas().DataFrame(index=pandas().Index([], name="stamp_ns"))
-        columns = {"time_s": key_times(trace), "distance_m": key_distances(trace)}
-        poses, covs = key_poses(trace.key_estimates)
-        columns |= _columns(poses, "{}")
-        columns |= _columns(np.sqrt(np.maximum(np.einsum("kii->ki", covs), 0.0)), "sigma_{}")
-        if len(trace.trajectory) == len(poses):  # not of a killed run
-            columns |= _columns(trace.trajectory, "{}_final")
-        if trace.key_truths:
-            columns |= _columns(np.array(trace.key_truths), "{}_true") | {"nees": key_nees(trace)}
-        return pandas().DataFrame(columns, index=pandas().Index(trace.key_stamps_ns, name="stamp_ns"))
-
-    def __len__(self) -> int:
-        return len(self._trace.key_stamps_ns)
-
-    def __repr__(self) -> str:
-        return f"<Trajectory of {len(self)} keyframes, {self._trace.path_length_m:.1f} m; frame() is its table>"
-
-
-class Landmarks:
-    """The landmarks of a run's final map, `Run.landmarks`; `frame()` is their table."""
-
-    def __init__(self, trace: Trace) -> None:
-        """Show the record of a run."""
-        self._trace = trace
-
-    def frame(self) -> pd.DataFrame:
-        """A row per landmark with index `id`, world frame, metres and radians; InputError without pandas.
-
-        `kind`; of a point `x`, `y` and their standard deviations `sigma_*`; of a wall its normal's angle `alpha` and
-        distance `d` from the origin, theirs, and the ends of its seen part, `from_x` to `to_y`; `observations`, the
-        number of them. NaN where a kind has no such column.
-        """
-        trace, final = self._trace, self._trace.final
-        sigmas = np.sqrt(np.maximum(np.diag(trace.joint_cov)[3:], 0.0)).reshape(-1, 2)
-        rows = []
-        for i, mean, sigma, is_wall in zip(final.ids.tolist(), final.landmarks, sigmas, final.walls, strict=True):
-            record, names = trace.records[i], ("alpha", "d") if is_wall else ("x", "y")
-            row: dict[str, Any] = {"kind": record.kind.name.lower(), "observations": record.observations}
-            row |= dict(zip(names, mean.tolist(), strict=True))
-            row |= {f"sigma_{name}": value for name, value in zip(names, sigma.tolist(), strict=True)}
-            if is_wall:
-                row |= dict(zip(_ENDS, record.extent.ravel().tolist(), strict=True))
-            rows.append(row)
-        index = pandas().Index(final.ids.tolist(), name="id", dtype="int64")
-        return pandas().DataFrame(rows, index=index, columns=_LANDMARK_COLUMNS)
-
-    def __len__(self) -> int:
-        return len(self._trace.final.ids)
-
-    def __repr__(self) -> str:
-        walls = int(self._trace.final.walls.sum())
-        return f"<{len(self)} landmarks, {walls} of them walls; frame() is their table>"
 
 
 _ENDS = ("from_x", "from_y", "to_x", "to_y")
@@ -254,4 +240,4 @@ _LANDMARK_COLUMNS = [
 
 def _columns(poses: Array, name: str) -> dict[str, Array]:
     """(K, 3) poses as columns, whose names follow a pattern."""
-    return {name.format(part): poses[:, k] for k, part in enumerate(POSE)}
+    return {name.format(part): poses[:, k] for k, part in enumerate(("x", "y", "theta"))}

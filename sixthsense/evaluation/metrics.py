@@ -17,13 +17,12 @@ from sixthsense.core.se2 import between
 from sixthsense.logs.stamps import matched
 
 
-def ate(estimate: Array, truth: Array) -> tuple[float, float]:
-    """Absolute trajectory error, unaligned: RMSE and maximum of the position error, metres.
+def ate(estimate: Array, truth: Array) -> float:
+    """Absolute trajectory error, unaligned: RMSE of the position error, metres.
 
     `estimate`, `truth` (N, 3), or (N, 2), at the same instants, N at least 1.
     """
-    errors = np.linalg.norm(estimate[:, :2] - truth[:, :2], axis=1)
-    return float(np.sqrt(np.mean(errors**2))), float(errors.max())
+    return float(np.sqrt(np.mean(np.sum((estimate[:, :2] - truth[:, :2]) ** 2, axis=1))))
 
 
 def heading_rmse(estimate: Array, truth: Array) -> float:
@@ -134,11 +133,6 @@ def nees_band(runs: float, dof: int = 3, confidence: float = 0.95) -> tuple[floa
     return low, high
 
 
-def share_in_band(nees: Array, band: tuple[float, float]) -> float:
-    """The share, 0 to 1, of `nees` (K,), a mean over runs for each step, within `band`, limits included."""
-    return float(np.mean((nees >= band[0]) & (nees <= band[1])))
-
-
 def relations_error(
     stamps_s: Array, poses: Array, relations_stamps: Array, relations_poses: Array
 ) -> tuple[Array, Array]:
@@ -159,11 +153,11 @@ def relations_error(
 
 
 def scan_times(ms: Array) -> dict[str, float]:
-    """Median, 99th percentile and maximum of (K,) processing times, milliseconds, by key; empty for none."""
+    """Median and 99th percentile of (K,) processing times, milliseconds, by key; empty for none."""
     if len(ms) == 0:
         return {}
     p50, p99 = np.percentile(ms, [50, 99])
-    return {"scan_ms_p50": float(p50), "scan_ms_p99": float(p99), "scan_ms_max": float(np.max(ms))}
+    return {"scan_ms_p50": float(p50), "scan_ms_p99": float(p99)}
 
 
 def match_landmarks(estimated: Array, truth: Array, radius: float) -> tuple[float, int]:

@@ -10,37 +10,39 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.effective import EFFECTIVE, band_of_runs, effective_samples
+from sixthsense.evaluation.consistency import Consistency, short
+from sixthsense.evaluation.effective import effective_samples
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MEANS = (("ATE m", "ate_rmse_m"), ("NIS/dof", "nis_mean_per_dof"), ("coverage", "coverage"))
-"""heading and column of each metric that is shown as a mean with its interval"""
-
-NEES = "pose_nees_world_mean"
-
+NEES, EFFECTIVE = "pose_nees_world_mean", "pose_nees_effective_samples"
 _NIS = 0.5, 2.0
 """per degree of freedom; beyond, sigmas are wrong by a factor of 1.4 and more"""
 
 
-def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None] = ()) -> list[list[str]]:
-    """Summarise a table of runs: a heading, and a row per combination of the values in the columns `by`.
+def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None] = ()) -> pd.DataFrame:
+    """Summarise a table of runs: a row per combination of the values in the columns `by`, which are the index.
 
     Means are over the runs that have the metric, with the 95 % interval of Student's t. The mean NEES, 3 for a
-    consistent estimator, is followed by the 95 % band of such a mean (`band_of_runs`). `nees` has the NEES along each
-    run in the order of the frame, None where it is not known; where that is missing, each run counts as a sample.
+    consistent estimator, is judged by the pooled effective number of samples. `nees` has the NEES along each run in the
+    order of the frame, None where it is not known; where that is missing, each run counts as a sample.
     """
-    (ate, *rest) = MEANS
-    rows = [[*by, "runs", ate[0], "NEES", *(name for name, _ in rest), "outcomes"]]
-    numbered = frame.assign(row=range(len(frame)))
+    import pandas as pd
+
+    numbered, rows = frame.assign(row=range(len(frame))), {}
     for values, group in numbered.groupby(list(by), sort=True):
-        outcomes = ", ".join(f"{count} {outcome}" for outcome, count in group["outcome"].value_counts().items())
-        cells = [mean_interval(_measured(group, column)) for _, column in MEANS]
         names = [Path(value).stem if name == "scene" else str(value) for name, value in zip(by, values, strict=True)]
-        consistency = mean_band(_measured(group, NEES), _effective(group, nees))
-        rows.append([*names, str(len(group)), cells[0], consistency, *cells[1:], outcomes])
-    return rows
+        rows[tuple(names)] = {
+            "runs": len(group),
+            "ATE m": mean_interval(_measured(group, "ate_rmse_m")),
+            "NEES": _consistency_of(group, nees),
+            "NIS/dof": mean_interval(_measured(group, "nis_mean_per_dof")),
+            "coverage": mean_interval(_measured(group, "coverage")),
+            "outcomes": ", ".join(f"{count} {outcome}" for outcome, count in group["outcome"].value_counts().items()),
+        }
+    index = pd.MultiIndex.from_tuples(rows, names=list(by)) if rows else pd.Index([])
+    return pd.DataFrame(list(rows.values()), index)
 
 
 def mean_interval(values: Array) -> str:
@@ -49,34 +51,37 @@ def mean_interval(values: Array) -> str:
     The interval of two is 13 times as wide as what lies between them: they say next to nothing of their mean.
     """
     if len(values) < 3:
-        return ", ".join(f"{value:.3g}" for value in values) + " (two runs say nothing of a mean)" * (len(values) == 2)
+        return ", ".join(f"{value:.3g}" for value in values) + " (two say nothing of a mean)" * (len(values) == 2)
     from scipy.stats import t
 
     half = float(t.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / math.sqrt(len(values))
     return f"{values.mean():.3g} ± {half:.2g}"
 
 
-def mean_band(values: Array, samples: float = 0.0) -> str:
-    """Mean NEES of runs, and whether it lies in the 95 % band for their effective number of samples."""
-    if len(values) == 0:
+def pooled(means: Array, own: Array, nees: Sequence[Array]) -> Consistency:
+    """The mean NEES of independent runs: their means (R,), the effective samples of each, and the NEES along each.
+
+    The samples are those of all runs about their common mean, and not more than each has. Where they are not known of
+    all runs, each run counts as one.
+    """
+    known, samples = [one[np.isfinite(one)] for one in nees], float(len(means))
+    if len(known) == len(own) == len(means):
+        samples = min(effective_samples(known), float(own.sum())) if len(means) > 1 else float(own[0])
+    return Consistency(float(means.mean()), samples)
+
+
+def _consistency_of(group: pd.DataFrame, nees: Sequence[Array | None]) -> str:
+    """Mean NEES of the runs of a group with its band and the verdict; empty without NEES."""
+    measured = group[group[NEES].notna()] if NEES in group else group[:0]
+    if not len(measured):
         return ""
-    low, high = band_of_runs(samples, len(values))
-    mean = float(values.mean())
-    return f"{mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.2f}-{high:.2f}"
+    known = [one for k in measured["row"] if nees and (one := nees[k]) is not None]
+    found = pooled(measured[NEES].to_numpy(), _measured(measured, EFFECTIVE), known)
+    low, high = map(short, found.band)
+    return f"{short(found.nees)} ({low} to {high}: {found.outcome})"
 
 
-def _effective(group: Any, nees: Sequence[Array | None]) -> float:
-    """Effective number of samples of a group's runs: pooled, and not more than each run has; 0 if it is not known."""
-    if not nees or NEES not in group or EFFECTIVE not in group:
-        return 0.0
-    measured = group[group[NEES].notna()]
-    known = [one[np.isfinite(one)] for k in measured["row"] if (one := nees[k]) is not None]
-    own = _measured(measured, EFFECTIVE)
-    complete = len(known) == len(own) == len(measured)
-    return min(effective_samples(known), float(own.sum())) if complete else 0.0
-
-
-def _measured(group: Any, column: str) -> Array:
+def _measured(group: pd.DataFrame, column: str) -> Array:
     values = group[column].to_numpy(dtype=np.float64) if column in group else np.zeros(0)
     return np.asarray(values[np.isfinite(values)])
 
@@ -99,8 +104,7 @@ _OUTCOMES = {
 def run_summary(metrics: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a run's summary, label and text, from its metrics.
 
-    A run without truth has a line about its scans. The steps of a run are correlated: its mean NEES is judged by the
-    95 % band for its effective number of samples, and with fewer than 30 by that of a single sample.
+    A run without truth has a line about its scans.
     """
     parts = {
         "outcome": "; ".join(_outcome(metrics)),
@@ -120,7 +124,7 @@ def _outcome(metrics: Mapping[str, Any]) -> Iterator[str]:
     if "coverage" in metrics and outcome.startswith("explored"):
         yield f"coverage {100.0 * metrics['coverage']:.4g} %"
     if "goal_error_m" in metrics and outcome == "goal reached":
-        yield f"it stands {_length(metrics['goal_error_m'])} from it"
+        yield f"it stands {length(metrics['goal_error_m'])} from it"
 
 
 def _scans(metrics: Mapping[str, Any]) -> Iterator[str]:
@@ -141,29 +145,24 @@ def _driven(metrics: Mapping[str, Any]) -> Iterator[str]:
 
 def _accuracy(metrics: Mapping[str, Any]) -> Iterator[str]:
     if "ate_rmse_m" in metrics:
-        yield f"position error {_length(metrics['ate_rmse_m'])} RMS"
+        yield f"position error {length(metrics['ate_rmse_m'])} RMS"
         if "dead_reckoning_ate_rmse_m" in metrics:
-            yield f"odometry alone {_length(metrics['dead_reckoning_ate_rmse_m'])}"
+            yield f"odometry alone {length(metrics['dead_reckoning_ate_rmse_m'])}"
     if "relations_trans_m_mean" in metrics:
-        mean, turn = _length(metrics["relations_trans_m_mean"]), metrics["relations_rot_deg_mean"]
+        mean, turn = length(metrics["relations_trans_m_mean"]), metrics["relations_rot_deg_mean"]
         yield f"error against the relations {mean} and {turn:.2g}° on average"
 
 
 def _unmeasured(metrics: Mapping[str, Any]) -> str:
-    """What is said of the accuracy where nothing measures it."""
+    """The text on accuracy where nothing measures it."""
     if "map_wrong_probability" in metrics:
         return f"no truth; the map is wrong with probability {metrics['map_wrong_probability']:.2g}"
     return "not measured: no truth, no relations"
 
 
 def _consistency(metrics: Mapping[str, Any]) -> str:
-    if "pose_nees_world_mean" in metrics:
-        nees = metrics["pose_nees_world_mean"]
-        low, high = band_of_runs(metrics.get(EFFECTIVE, 1.0))
-        verdict, where = ("consistent", "within") if low <= nees <= high else ("overconfident", "above")
-        if nees < low:
-            verdict, where = "cautious", "below"
-        return f"{verdict}: NEES {nees:.2g}, {where} the {low:.1f} to {high:.1f} of a consistent run"
+    if NEES in metrics:
+        return str(Consistency(metrics[NEES], metrics.get(EFFECTIVE, 1.0)))
     if (nis := metrics.get("nis_mean_per_dof")) is not None:
         said = f"no truth; NIS {nis:.2f} per degree of freedom, 1 is consistent"
         if _NIS[0] <= nis <= _NIS[1]:
@@ -185,7 +184,8 @@ def _two_digits(value: float) -> str:
     return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
-def _length(metres: float) -> str:
+def length(metres: float) -> str:
+    """A length in m, cm or mm."""
     if metres >= 1.0:
         return f"{metres:.2f} m"
     return f"{100.0 * metres:.1f} cm" if metres >= 0.01 else f"{1e3 * metres:.1f} mm"

@@ -1,4 +1,4 @@
-"""The true identity of an observation: which walls of the scene its returns hit; for evaluation only.
+"""The true identity of an observation: which wall or point of the scene its returns hit; for evaluation only.
 
 The returns decide, not the covariance that the observation states. An observation with a large covariance would
 otherwise agree with everything.
@@ -7,17 +7,16 @@ otherwise agree with everything.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig, LaserNoise
-from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmark_kernels import predictions
-from sixthsense.core.landmarks import Observation
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import beam_angles
 from sixthsense.core.motion import variance
 from sixthsense.core.ray_casting import hit_walls
@@ -28,13 +27,12 @@ _SAME_RAD, _SAME_M = 1e-4, 1e-3  # tolerances of a segment to lie on a line
 # A beam beside a corner can hit the neighbouring wall although its return lies near the fitted line, on each side once.
 # So one or two foreign returns are no second wall. In a fit to many returns a tenth of them has little weight.
 _LEAST_RETURNS, _LEAST_SHARE = 3, 0.1
-_SIGMAS = 3.0  # a fit does not distinguish lines that are nearer to each other; likewise the noise of a point
-_LEAST_COSINE = 0.02  # of the incidence, as in the fit of a line
+_SIGMAS = 3.0  # of the laser's noise, which a point may be off
+LEAST_COSINE = 0.02
+"""of the incidence, as in the fit of a line"""
 
 Identity = tuple[str, int]
 """A face of a true line ("front" is the side that its normal points to, or "back") or a true "point"; its index."""
-
-Verdict = Literal["single", "spanning", "left out", "unexplained"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,12 @@ class TrueLandmarks:
 
     def landmark(self, identity: Identity) -> Array:
         """(2,) true parameters of the landmark: alpha, d of a face, normal to the side it is seen from, or x, y."""
-        return self.points[identity[1]] if identity[0] == "point" else _face_line(self, identity)
+        return self.points[identity[1]] if identity[0] == "point" else self.line(identity)
+
+    def line(self, face: Identity) -> Array:
+        """(2,) alpha and d of a face, whose normal points to the side that it is seen from."""
+        alpha, d = self.lines[face[1]]
+        return np.array([alpha, d]) if face[0] == "front" else np.array([alpha + np.pi, -d])
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,22 +73,6 @@ class TrueLaser:
         both = (variance(self.noise.distribution, scale) for scale in (self.noise.range_m, self.noise.bearing_rad))
         range_var, bearing_var = both
         return math.sqrt(range_var), math.sqrt(bearing_var)
-
-
-@dataclass(frozen=True, slots=True)
-class Identified:
-    """What an observation truly is of."""
-
-    verdict: Verdict
-    """"single": of one line or point; "spanning": of several lines; "left out": of several lines that its fit does not
-    distinguish; "unexplained": of nothing in the scene"""
-    identity: Identity | None = None
-    """of a single one"""
-    fit_cov: Array | None = None
-    """(2, 2) of a wall's alpha and d, laser's frame: of an ideal fit to its returns"""
-
-
-UNEXPLAINED = Identified("unexplained")
 
 
 def true_identities(walls: Array) -> TrueLandmarks:
@@ -110,104 +97,79 @@ def true_identities(walls: Array) -> TrueLandmarks:
 
 def identify(
     observations: Sequence[Observation], T_world_robot: Pose, scene: TrueLandmarks, laser: TrueLaser
-) -> list[Identified]:
+) -> list[list[Identity]]:
     """What each observation of a scan truly is of, from the true pose of the robot at the scan's stamp.
 
     The beams of the observation's returns are cast through the scene. A line counts if at least 3 returns and at least
-    10 % of them hit it. A point is the nearest corner or end of the lines that its returns hit, as far away as the beam
-    spacing and the laser's noise allow. A de-skewed scan is judged at its stamp: the error of the odometry over its
-    sweep is neglected. An observation without bearings is unexplained.
+    10 % of them hit it; the faces of a wall stand in the order of their returns, more than one if it spans several. A
+    point is the nearest corner or end of the lines that its returns hit, as far away as the beam spacing and the
+    laser's noise allow. Empty for an observation of nothing in the scene, and for one without bearings. A de-skewed
+    scan is judged at its stamp: the error of the odometry over its sweep is neglected.
     """
     T_world_laser = T_world_robot @ Pose(*laser.config.mount)
     counts = [len(observation.bearings) for observation in observations]
     bearings = np.concatenate([np.empty(0), *(observation.bearings for observation in observations)])
-    ranges, segment = hit_walls(T_world_laser, bearings, scene.segments, laser.config.max_range)
-    angles, reached = bearings + T_world_laser.theta, np.where(segment >= 0, ranges, 0.0)
-    hits = T_world_laser.position + reached[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-    found = []
+    _, segment = hit_walls(T_world_laser, bearings, scene.segments, laser.config.max_range)
+    found: list[list[Identity]] = []
     for observation, past, count in zip(observations, np.cumsum(counts, dtype=np.int64).tolist(), counts, strict=True):
-        own = past - count + np.flatnonzero(segment[past - count : past] >= 0)
-        on = scene.line_of[segment[own]]
+        own = segment[past - count : past]
+        on = scene.line_of[own[own >= 0]]
         if not len(on):
-            found.append(UNEXPLAINED)
+            found.append([])
         elif observation.is_wall:
-            found.append(_identify_wall(hits[own], on, count, T_world_laser, scene, laser))
+            found.append(_faces(on, count, T_world_laser.position, scene))
         else:
-            found.append(_identify_point(T_world_robot @ observation.z, on, T_world_laser, scene, laser))
+            found.append(_point(T_world_robot @ observation.z, on, T_world_laser, scene, laser))
     return found
 
 
-def distinguished(first: Identity, second: Identity, seen: Identified, position: Array, scene: TrueLandmarks) -> bool:
-    """Whether the fit of an observation of a wall, made by a laser at `position` (2,), distinguishes two true walls."""
-    if seen.fit_cov is None or "point" in (first[0], second[0]):
-        return first != second
-    faces = np.array([_face_line(scene, face) for face in (first, second)])
-    both, _, _ = predictions((position[0], position[1], 0.0), faces, np.ones(len(faces), dtype=np.bool_))
-    off = both[0] - both[1]
-    off[0] = wrap_angle(float(off[0]))
-    return float(off @ np.linalg.solve(seen.fit_cov, off)) >= _SIGMAS**2
+def landmark_identities(
+    associations: Sequence[Mapping[LandmarkId, Observation]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
+) -> dict[LandmarkId, Identity]:
+    """The identity that more than half of a landmark's observations have; without those that have none.
 
-
-def _face_line(scene: TrueLandmarks, face: Identity) -> Array:
-    """(2,) alpha and d of a face, whose normal points to the side that it is seen from."""
-    alpha, d = scene.lines[face[1]]
-    return np.array([alpha, d]) if face[0] == "front" else np.array([alpha + np.pi, -d])
-
-
-def _identify_wall(
-    hits: Array, on: NDArray[np.int64], count: int, T_world_laser: Pose, scene: TrueLandmarks, laser: TrueLaser
-) -> Identified:
-    """What a wall with `count` returns is of; of these `hits` (B, 2), world frame, lie on the lines `on` (B,)."""
-    lines, returns = np.unique(on, return_counts=True)
-    enough = (returns >= _LEAST_RETURNS) & (returns >= _LEAST_SHARE * count)
-    lines, returns = lines[enough], returns[enough]
-    if not len(lines):
-        return UNEXPLAINED
-    position = T_world_laser.position
-    normals = np.column_stack([np.cos(scene.lines[lines, 0]), np.sin(scene.lines[lines, 0])])
-    in_front = normals @ position > scene.lines[lines, 1]
-    sides = np.where(in_front, "front", "back").tolist()
-    faces: list[Identity] = list(zip(sides, lines.tolist(), strict=True))
-    main = faces[int(returns.argmax())]
-    single = Identified("single", main, _ideal_fit_cov(hits - position, _face_line(scene, main), laser))
-    others = [face for face in faces if face != main]
-    if not others:
-        return single
-    spans = any(distinguished(main, other, single, position, scene) for other in others)
-    return Identified("spanning" if spans else "left out")
-
-
-def _ideal_fit_cov(rays: Array, line: Array, laser: TrueLaser) -> Array:
-    """(2, 2) covariance of alpha and d of a line fitted to returns at the ends of `rays` (B, 2), from the laser, m.
-
-    Each return is weighted by the laser's noise across the line.
+    A line fitted across several pieces of a wall is none of these: to which the first observation belonged does not
+    say where the landmark is.
     """
-    range_m, bearing_rad = laser.sigmas
-    c, s = math.cos(line[0]), math.sin(line[0])
-    cosine = np.maximum(np.abs(rays @ np.array([c, s])) / np.linalg.norm(rays, axis=1), _LEAST_COSINE)
-    arms = rays @ np.array([-s, c])
-    weights = 1.0 / np.maximum((range_m * cosine) ** 2 + (bearing_rad * arms) ** 2, 1e-18)
-    jacobian = np.column_stack([arms, -np.ones(len(arms))])
-    return np.asarray(np.linalg.inv(jacobian.T @ (weights[:, None] * jacobian)))
+    seen: dict[LandmarkId, list[Identity | None]] = {}
+    for observations, truth in zip(associations, truths, strict=True):
+        judged = identify(list(observations.values()), Pose.from_array(truth), scene, laser)
+        for i, faces in zip(observations, judged, strict=True):
+            seen.setdefault(i, []).append(faces[0] if len(faces) == 1 else None)
+    identities: dict[LandmarkId, Identity] = {}
+    for i, found in seen.items():
+        most, count = Counter(found).most_common(1)[0]
+        if most is not None and 2 * count > len(found):
+            identities[i] = most
+    return identities
 
 
-def _identify_point(
+def _faces(on: NDArray[np.int64], count: int, position: Array, scene: TrueLandmarks) -> list[Identity]:
+    """The faces with enough of the `count` returns, which lie on the lines `on` (B,), seen from a position (2,)."""
+    lines, returns = np.unique(on, return_counts=True)
+    order = np.argsort(-returns, kind="stable")
+    lines, returns = lines[order], returns[order]
+    lines = lines[(returns >= _LEAST_RETURNS) & (returns >= _LEAST_SHARE * count)]
+    normals = np.column_stack([np.cos(scene.lines[lines, 0]), np.sin(scene.lines[lines, 0])])
+    sides = np.where(normals @ position > scene.lines[lines, 1], "front", "back").tolist()
+    return list(zip(sides, lines.tolist(), strict=True))
+
+
+def _point(
     position: Array, on: NDArray[np.int64], T_world_laser: Pose, scene: TrueLandmarks, laser: TrueLaser
-) -> Identified:
+) -> list[Identity]:
     """What a point seen at `position` (2,), world frame, is of; its returns hit the lines `on` (B,)."""
     lines = scene.lines[np.unique(on)]
     normals = np.column_stack([np.cos(lines[:, 0]), np.sin(lines[:, 0])])
     candidates = np.flatnonzero((np.abs(scene.points @ normals.T - lines[:, 1]) < 2.0 * _SAME_M).any(axis=1))
     if not len(candidates):
-        return UNEXPLAINED
+        return []
     away = np.linalg.norm(scene.points[candidates] - position, axis=1)
     reach = float(np.linalg.norm(position - T_world_laser.position))
     # The wall of a line that is met flatter is sampled more sparsely.
-    cosine = np.maximum(np.abs(normals @ T_world_laser.position - lines[:, 1]) / max(reach, 1e-9), _LEAST_COSINE)
+    cosine = np.maximum(np.abs(normals @ T_world_laser.position - lines[:, 1]) / max(reach, 1e-9), LEAST_COSINE)
     along = reach / float(cosine.min())
     range_m, bearing_rad = laser.sigmas
     spacing_rad = float(beam_angles(laser.config)[1])
     limit = spacing_rad * along + _SIGMAS * math.hypot(range_m, bearing_rad * along)
-    if away.min() > limit:
-        return UNEXPLAINED
-    return Identified("single", ("point", int(candidates[away.argmin()])))
+    return [] if away.min() > limit else [("point", int(candidates[away.argmin()]))]

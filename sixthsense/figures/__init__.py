@@ -1,7 +1,6 @@
-"""Figures of a run besides its map: quantities over time, one scan, one filter step, planning and exploration.
+"""Figures of runs: maps, errors, consistency, comparisons, reports and films; colours and helpers of notebooks.
 
-Each function draws on given axes. `new_axes` makes a figure. `record` runs a configuration and keeps its keyframes.
-`__init__.pyi` lists the names, and each is imported when it is first used.
+`__init__.pyi` lists the public names, and each is imported when it is first used.
 """
 
 import lazy_loader

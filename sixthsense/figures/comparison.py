@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any
 
-from sixthsense.config.errors import InputError, pandas
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.evaluation.groups import LABELS, RUN, RunTable, Sample, differing, fields_of, labelled, usual_grouping
+from sixthsense.evaluation.groups import RunTable, Sample, differing, labelled, table_of, usual_grouping
 from sixthsense.evaluation.measured_run import numbered_names
-from sixthsense.evaluation.results import metrics_table
+from sixthsense.evaluation.results import as_text, html_of, side_by_side
 from sixthsense.evaluation.summary import summary
-from sixthsense.evaluation.tables import digits, html_table, text_table
-from sixthsense.figures.panels import figure, group_figure
+from sixthsense.figures.kinds import plot
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sixthsense.core.picture import Picture
     from sixthsense.evaluation.curves import Over
-    from sixthsense.figures.canvas import OnAxes
-
-    By = str | Sequence[str] | None
 
 Compared = Run | Trace | str | Path | RunTable
 """a run, its record, or its folder; a campaign"""
 
-_KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage")
+_KEYS = ["outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage"]
 
 
 class Comparison:
@@ -40,31 +34,24 @@ class Comparison:
     errors at keyframes.
     """
 
-    def __init__(self, samples: Sequence[Sample], runs: Sequence[Run] = ()) -> None:
-        """Wrap at least one sample; `runs` are those of them that have a record. The order is kept."""
+    def __init__(self, samples: Sequence[Sample]) -> None:
+        """Wrap at least one sample; the order is kept."""
         self.samples = tuple(samples)
         """all runs compared: name, configuration, metrics"""
-        self.runs = tuple(runs)
+        self.runs: tuple[Run, ...] = tuple(sample.run for sample in samples if sample.run is not None)
         """those with a record"""
         self.names = [sample.name for sample in samples]
 
     def frame(self) -> pd.DataFrame:
         """A row per run with index `run`: scene, preset, the parts, seed, and a column per metric.
 
-        NaN where a run lacks the metric; InputError without pandas.
+        NaN where a run lacks the metric; `attrs["units"]` has the units by column.
         """
-        rows = [
-            {name: getattr(sample.config, name) for name in LABELS} | dict(sample.metrics) for sample in self.samples
-        ]
-        return pandas().DataFrame(rows, index=pandas().Index(self.names, name=RUN))
+        return table_of(self.samples)
 
-    @overload
-    def plot(self, what: str = ..., by: By = ..., *, over: Over = ..., ax: None = ...) -> Picture: ...
-    @overload
-    def plot(self, what: str = ..., by: By = ..., *, over: Over = ..., ax: OnAxes) -> None: ...
     def plot(
-        self, what: str = "map", by: By = None, *, over: Over = "time", ax: OnAxes | None = None
-    ) -> Picture | None:
+        self, what: str = "map", by: str | Sequence[str] | None = None, *, over: Over = "time", ax: Any = None
+    ) -> Any:
         """A figure of at most 12 runs side by side, or of groups of any number of runs.
 
             ss.compare(runs).plot("error", by="estimator", over="distance")
@@ -90,15 +77,22 @@ class Comparison:
             For an unknown name or column, with the nearest one, and as of `Run.plot`.
 
         """
-        if by is None and len(self.runs) == len(self.samples):
-            return figure(what, self.runs, over, ax)
-        columns = usual_grouping([sample.fields for sample in self.samples]) if by is None else by
-        return group_figure(what, self.samples, columns, over, ax)
+        if by is None and len(self.runs) < len(self.samples):
+            by = usual_grouping([sample.fields for sample in self.samples])
+        return plot(what, self.samples, by, ax, over)
 
-    def _summary(self) -> list[list[str]]:
+    def _table(self) -> pd.DataFrame:
+        """The runs by their most important metrics; of a campaign the groups of its runs."""
+        if len(self.runs) == len(self.samples):
+            frame = self.frame()
+            return frame[[key for key in _KEYS if key in frame]].round(4)
         by = usual_grouping([sample.fields for sample in self.samples])
         found = [sample.curves() for sample in self.samples]
-        return summary(self.frame().reset_index(), by, [None if one is None else one.nees for one in found])
+        return summary(self.frame().reset_index(), by, [None if one is None else one["nees"] for one in found])
+
+    def metrics(self) -> pd.DataFrame:
+        """All metrics, a row each in groups, as text: a column per run, unit and meaning."""
+        return as_text(side_by_side({one.name: one.metrics for one in self.samples}))
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -107,23 +101,12 @@ class Comparison:
         return iter(self.runs)
 
     def __repr__(self) -> str:
-        if len(self.runs) < len(self.samples):
-            return text_table(self._summary())
-        rows = [["run", *_KEYS]]
-        rows += [
-            [name, *(digits(run.metrics.get(key, "")) for key in _KEYS)]
-            for name, run in zip(self.names, self.runs, strict=True)
-        ]
-        return text_table(rows)
+        return str(self._table().to_string(na_rep=""))
 
     def _repr_html_(self) -> str:
-        title = f"<b>{len(self.samples)} run{'s' * (len(self.samples) > 1)}</b>"
         if len(self.runs) < len(self.samples):
-            head, *rows = self._summary()
-            return f"<div>{title}{html_table(head, rows)}</div>"
-        titles = "".join(f"<div>{html.escape(run.title)}</div>" for run in self.runs)
-        table = metrics_table(["metric", *self.names], [run.metrics for run in self.runs])
-        return f"<div>{title}<details><summary>titles</summary>{titles}</details>{table}</div>"
+            return html_of(self._table())
+        return html_of(self.metrics())
 
 
 def compare(runs: Iterable[Compared] | Mapping[str, Compared] | RunTable) -> Comparison:
@@ -145,56 +128,38 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | RunTable) -> Com
         For no run, for an object that is not a run, and for a folder that is not a run folder.
 
     """
-    if isinstance(runs, (str, Path)):
-        _refuse_campaign(runs)
     if isinstance(runs, (Run, Trace, str, Path)) or not isinstance(runs, RunTable | Iterable):
         raise InputError("runs", f"found {shown(runs)}", "a list of runs or folders, or a mapping of them")
-    if isinstance(runs, RunTable):
-        runs = [runs]
-    if isinstance(runs, Mapping):
-        given = [(str(name), run) for name, run in runs.items()]
-    else:
-        found = list(runs)
-        given = list(zip(_distinguishing_names(found), found, strict=True))
-    opened = [(name, one) if isinstance(one, RunTable) else (name, _with_name(name, one)) for name, one in given]
-    with_record = [one for _, one in opened if isinstance(one, Run)]
-    names = iter(numbered_names(with_record))
+    found = list(runs.values()) if isinstance(runs, Mapping) else [runs] if isinstance(runs, RunTable) else list(runs)
+    opened = [one if isinstance(one, RunTable) else _opened(one) for one in found]
+    names = list(map(str, runs)) if isinstance(runs, Mapping) else _distinguishing_names(found, opened)
+    numbered = iter(numbered_names([name for name, one in zip(names, opened, strict=True) if isinstance(one, Run)]))
     samples: list[Sample] = []
-    for name, one in opened:
-        samples += [one.sample(next(names))] if isinstance(one, Run) else one.samples(name)
+    for name, one in zip(names, opened, strict=True):
+        samples += [one.sample(next(numbered))] if isinstance(one, Run) else one.samples(name)
     if not samples:
         raise InputError("runs", "found none", "one or more")
-    return Comparison(samples, with_record)
+    return Comparison(samples)
 
 
-def _with_name(name: str, run: Compared) -> Run:
-    """The run with the given name; with its own name if that is empty."""
-    if isinstance(run, Trace):
-        return Run(name or run.name or "run", run)
+def _opened(run: Any) -> Run:
+    """The run of a record or a folder; InputError, with the call that loads it, for the folder of a campaign."""
     if isinstance(run, (str, Path)):
-        _refuse_campaign(run)
-        run = load(run)
-    if not isinstance(run, Run):
+        if (Path(run) / "campaign.toml").is_file():
+            raise InputError("runs", f"found the folder of a campaign, {run}", f"ss.load_campaign({str(run)!r})")
+        return load(run)
+    if not isinstance(run, Run | Trace):
         raise InputError("runs", f"found {shown(run)}", "runs, folders of runs, or campaigns")
-    return Run(name or run.name or "run", run.trace, run.metrics, run.folder, run.missing)
+    return run if isinstance(run, Run) else Run(run.name or "run", run)
 
 
-def _refuse_campaign(folder: str | Path) -> None:
-    """Raise InputError, with the call that loads it, for the folder of a campaign."""
-    if (Path(folder) / "campaign.toml").is_file():
-        allowed = f"ss.load_campaign({str(folder)!r})"
-        raise InputError("runs", f"found the folder of a campaign, {folder}", allowed)
-
-
-def _distinguishing_names(runs: Sequence[Compared]) -> list[str]:
-    """A name per run from the configuration fields that differ; a campaign's own, and empty for a folder."""
-    traces = [run.trace if isinstance(run, Run) else run if isinstance(run, Trace) else None for run in runs]
-    tables = [{} if trace is None else fields_of(trace.name, trace.config) for trace in traces]
+def _distinguishing_names(given: Sequence[Compared], opened: Sequence[Run | RunTable]) -> list[str]:
+    """A name per run from the configuration fields that differ; a campaign's own, and that of a folder."""
+    fields = [
+        one.sample(one.trace.name).fields if isinstance(one, Run) and isinstance(source, Run | Trace) else {}
+        for source, one in zip(given, opened, strict=True)
+    ]
     # The name already contains the scene.
-    apart = [name for name in differing([table for table in tables if table]) if name != "scene"][:4]
-    names = []
-    for run, trace, table in zip(runs, traces, tables, strict=True):
-        label = " · ".join(labelled(name, table.get(name)) for name in apart) if table else ""
-        own = run.name if isinstance(run, RunTable) else "" if trace is None else trace.name or "run"
-        names.append(label or own)
-    return names
+    apart = [name for name in differing([table for table in fields if table]) if name != "scene"][:4]
+    labels = [" · ".join(labelled(name, table.get(name)) for name in apart) if table else "" for table in fields]
+    return [label or one.name or "run" for label, one in zip(labels, opened, strict=True)]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.measured_run import MeasuredRun
+from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.exports import known_part
 from sixthsense.record.trace import Trace
 from sixthsense.simulation.walking_space import BODY_M
@@ -41,10 +42,12 @@ _MOST_CAUSES = 5  # marked on a map
 
 CHI2_95 = 5.991  # 2 degrees of freedom
 
-_WIDTH_IN, _LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 11.0, 1.5, 11.0
+MAP_WIDTH_IN = 11.0
+"""of a single map"""
+_LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 1.5, 11.0
 _DPI = 130  # of a bitmap
 _FRAME_IN = 1.0  # height of title, axis label and legend
-_MOST_BLOCKS = round(_WIDTH_IN * _DPI)  # along a side of the drawn grid: pixels of a bitmap
+_MOST_BLOCKS = round(MAP_WIDTH_IN * _DPI)  # along a side of the drawn grid: pixels of a bitmap
 _MOST_MARKS, _MOST_CORNERS = 500, 20_000  # of a vector layer, and of a vector line
 
 
@@ -108,21 +111,6 @@ def walls_found(trace: Trace, poses: Sequence[Array] | Array) -> Array:
     """(N, 2, 2) detected walls of all keyframes, world frame, placed by `poses` (K, 3) of the keyframes."""
     placed = [Pose.from_array(pose) @ walls for pose, walls in zip(poses, trace.walls_found, strict=True)]
     return np.concatenate([np.zeros((0, 2, 2)), *placed])
-
-
-def draw_way(ax: Any, poses: Array, color: str = ESTIMATE, label: str | None = None, width: float = 0.9) -> None:
-    """Draw the path along positions (N, 2) or poses (N, 3), world frame, metres."""
-    ax.plot(poses[:, 0], poses[:, 1], color=color, linewidth=width, label=label)
-    label_plane(ax)
-
-
-def draw_walls_at(ax: Any, trace: Trace, poses: Array) -> None:
-    """Draw the detected walls of the keyframes, placed by `poses` (S, 3), one for each scan."""
-    # The first scan with a given last keyframe is that keyframe.
-    first = np.unique(trace.last_key, return_index=True)[1]
-    style: dict[str, Any] = {"colors": WALL, "linewidths": 0.5, "alpha": 0.5, "zorder": 1}
-    draw_segments(ax, walls_found(trace, poses[first]), **style)
-    label_plane(ax)
 
 
 def landmarks_of(trace: Trace) -> tuple[Array, Array, list[Array]]:
@@ -247,6 +235,56 @@ def _frame(ax: Any, points: list[Array]) -> None:
     ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
 
 
+def shade(
+    ax: Any, mask: NDArray[np.bool_], origin: tuple[float, float], cell_m: float, color: str, zorder: float
+) -> None:
+    """Colour the cells of (H, W) `mask`."""
+    from matplotlib.colors import to_rgba
+
+    image = np.zeros((*mask.shape, 4))
+    image[mask] = to_rgba(color)
+    height, width = mask.shape
+    extent = (origin[0], origin[0] + width * cell_m, origin[1], origin[1] + height * cell_m)
+    limits = ax.get_xlim(), ax.get_ylim()
+    ax.imshow(image, origin="lower", extent=extent, interpolation="nearest", zorder=zorder)
+    # The extent of a grid must not change the limits of the axes.
+    ax.set(xlim=limits[0], ylim=limits[1])
+    label_plane(ax)
+
+
+def draw_exploration(ax: Any, trace: Trace) -> None:
+    """Draw the seen area, remaining frontiers, planned paths (pale to dark over time), and places left unseen.
+
+    A frontier cell is a free cell next to an unseen one within the region, in clusters of any size.
+    """
+    assert trace.grid is not None
+    grid, cell_m = trace.grid, trace.config.grid.cell_m
+    seen = grid.seen
+    region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
+    if trace.scene is not None:
+        draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=1.6, label="true walls", zorder=2)
+    for k, plan in enumerate(trace.plans):
+        age = (k + 1) / len(trace.plans)
+        label = "planned paths, pale to dark over time" if k == len(trace.plans) - 1 else None
+        ax.plot(plan[:, 0], plan[:, 1], color=PLAN, linewidth=0.8, alpha=0.15 + 0.7 * age, label=label, zorder=3)
+    driven = np.array(trace.estimates).reshape(-1, 3)
+    ax.plot(driven[:, 0], driven[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=4)
+    ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
+    points = frontier_points(seen, grid.obstacles, grid.origin, cell_m, region)
+    if len(points):
+        label = "frontiers not worth a view" if trace.outcome == "explored" else "remaining frontiers"
+        ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label=label, zorder=6)
+    if trace.left:
+        left = np.array([(place.x, place.y) for place in trace.left])
+        ax.scatter(left[:, 0], left[:, 1], s=60.0, marker="x", color=LANDMARK, label="places left unseen", zorder=8)
+    shade(ax, seen, grid.origin, cell_m, SEEN, 0.1)
+    shade(ax, grid.obstacles, grid.origin, cell_m, OBSERVATION, 0.2)
+    label_plane(ax)
+    shown = np.concatenate([driven[:, :2], *(() if trace.scene is None else trace.scene.walls)])
+    low, high = shown.min(axis=0) - 0.5, shown.max(axis=0) + 0.5
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
 def new_figure(width_in: float, height_in: float) -> Picture:
     """An empty figure without window system and global state, unlike pyplot's."""
     from sixthsense.core.picture import Picture
@@ -319,7 +357,7 @@ def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = Non
 
 
 def map_figure(
-    trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True, figure: Picture | None = None
+    trace: Trace, title: str, width_in: float = MAP_WIDTH_IN, legend: bool = True, figure: Picture | None = None
 ) -> Picture:
     """The map as a figure, by default a new one, whose height follows from the shape of the map."""
     figure = figure or new_figure(width_in, width_in)

@@ -1,144 +1,257 @@
-"""Reports on finished or killed runs: their figures, a table of their metrics, and an HTML page."""
+"""Reports on runs, campaigns and audits: their figures, a table of their metrics, and one page of HTML."""
 
 from __future__ import annotations
 
 import base64
-import csv
-import html
-import json
 import platform
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import NOTES, parse_toml
 from sixthsense.config.section import as_table
 from sixthsense.config.version import __version__
-from sixthsense.evaluation.groups import differing, flat
+from sixthsense.evaluation.groups import MOST_GROUPS, Sample, differing, flat, grouped, numbers
 from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
-from sixthsense.evaluation.results import QUANTITIES, in_groups, unit
-from sixthsense.evaluation.tables import digits, html_table, text_table
-from sixthsense.figures.panels import KINDS, figure_if_any
+from sixthsense.evaluation.results import QUANTITIES, as_text, digits, html_of, side_by_side
+from sixthsense.figures.kinds import KINDS, OF_GROUPS, plot
 from sixthsense.figures.plot import Form, save_forms
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_TEMPLATE = Path(__file__).with_name("page.html.j2")
+_VERDICTS = ("outcome", "map", "consistency")
+"""lines of a run's summary that stand first; what they rest on follows"""
+_GOOD = ("good", "consistent")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A line at the top of a page."""
+
+    name: str
+    """what it is about"""
+    text: str
+    """the answer"""
+    is_alarm: bool = False
+    """whether it is marked"""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure of a page."""
+
+    file: Path
+    """a PNG, which is embedded"""
+    caption: str
+    """below it"""
+
+    @property
+    def data(self) -> str:
+        """The file in base64."""
+        return base64.b64encode(self.file.read_bytes()).decode("ascii")
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A text of a page, as it is."""
+
+    text: str
+    """its lines"""
+    folded: str = ""
+    """what is shown of it before it is opened; empty: all"""
+
+
+def page(title: str, verdicts: Sequence[Verdict], sections: Mapping[str, Sequence[Drawn | Text | pd.DataFrame]]) -> str:
+    """A page of HTML that needs no other file: the verdicts, then sections by their headings; empty ones are left out.
+
+    Every text is escaped.
+    """
+    from jinja2 import Environment
+
+    template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(_TEMPLATE.read_text())
+    shown = {name: blocks for name, blocks in sections.items() if blocks}
+    return template.render(title=title, verdicts=verdicts, sections=shown, html_of=html_of)
 
 
 def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:
     """Write the figures and `report.html` into the folder `out`, for several runs also `metrics.csv`.
 
     The folder is created if missing. `form` "svg" or "pdf" adds each figure as vector graphics. A figure whose data all
-    runs lack, such as errors without truth, is left out. Returns the written files. Raises InputError for no run and
-    for more than 12 runs.
+    runs lack, such as errors without truth, is left out. Returns the written files. Raises InputError for no run, for
+    more than 12 runs, and for a damaged file of a run.
     """
     out = Path(out)
-    pictures: dict[Path, str] = {}
-    files: list[Path] = []
-    for name, kind in KINDS.items():
-        figure = figure_if_any(name, runs)
-        if figure is not None:
-            pictures[out / f"{name}.png"] = kind.caption
-            files += save_forms(figure, out / f"{name}.png", form)
+    names = numbered_names([run.name for run in runs])
+    samples = [run.sample(name) for name, run in zip(names, runs, strict=True)]
+    drawn, files = _draw(list(KINDS), samples, None, out, form)
+    table = side_by_side({one.name: one.metrics for one in samples})
     if len(runs) > 1:
         files.append(out / "metrics.csv")
-        with files[-1].open("w", newline="", encoding="utf-8") as stream:
-            csv.writer(stream).writerows(table_of(runs))
-    files.append(out / "report.html")
-    files[-1].write_text(page(runs, pictures), encoding="utf-8")
-    return [*pictures, *files]
+        table[names].to_csv(files[-1])
+    labelled_runs = [(name if len(runs) > 1 else "", run) for name, run in zip(names, runs, strict=True)]
+    sections: dict[str, Any] = {
+        "What it rests on": [_summaries(labelled_runs)],
+        "Figures": drawn,
+        "Metrics": [as_text(table)],
+        "Beside the truth": [block for one in labelled_runs for block in _audit(*one)],
+        "Configuration": list(_configuration(labelled_runs)),
+        "Reproduction": [Text(_reproduction(*one)) for one in labelled_runs],
+    }
+    title = f"Runs compared: {', '.join(names)}" if len(runs) > 1 else runs[0].title
+    verdicts = [verdict for one in labelled_runs for verdict in _verdicts(*one)]
+    return [*(one.file for one in drawn), *files, write_page(out / "report.html", page(title, verdicts, sections))]
 
 
-def table_of(runs: Sequence[MeasuredRun], text: Callable[[Any], str] = str) -> list[list[str]]:
-    """A heading, and a row per metric with a column per run, by default in full precision; empty without the metric."""
-    keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
-    rows = [[key, *(text(run.metrics.get(key, "")) for run in runs)] for key in keys]
-    return [["metric", *numbered_names(runs)], *rows]
+def report_groups(
+    title: str, samples: Sequence[Sample], axes: Sequence[str], out: Path, form: Form, sections: Mapping[str, Any]
+) -> list[Path]:
+    """Write the figures of groups of runs, scene by scene, and `report.html` with them and other sections.
+
+    Runs are grouped by those of the `axes` that differ. A figure whose data all runs lack is left out. The sections
+    "Summary", "Configuration" and "Reproduction" are the caller's. Returns the written files.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    scenes = grouped(samples, "scene")
+    figures: list[Drawn] = []
+    files: list[Path] = []
+    tables: dict[str, Any] = {}
+    for scene, of_scene in scenes.items():
+        by = _axes(of_scene, axes)
+        suffix, heading = (f"-{scene}", f"Metrics in {scene}") if len(scenes) > 1 else ("", "Metrics")
+        drawn, vectors = _draw([*OF_GROUPS, "error-distance"], of_scene, by, out, form, suffix)
+        figures, files = figures + drawn, files + vectors
+        tables[heading] = [_spreads(grouped(of_scene, by))]
+    summary, *others = sections
+    verdicts = [Verdict(str(group), str(found)) for group, found in _consistencies(sections[summary][0])]
+    known = {summary: sections[summary], "Figures": figures, **tables, **{name: sections[name] for name in others}}
+    return [*(one.file for one in figures), *files, write_page(out / "report.html", page(title, verdicts, known))]
 
 
-def compact(runs: Sequence[MeasuredRun]) -> str:
-    """The table of the runs as aligned text, with four significant digits."""
-    return text_table(table_of(runs, digits))
+def write_page(file: Path, text: str) -> Path:
+    """Write a page and return its file; InputError if it cannot be written."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(file, f"cannot be written ({error.strerror})", "a file") from None
+    return file
 
 
-_STYLE = """
-:root { color-scheme: light; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; padding: 1rem 1rem 3rem; max-width: 66rem; background: #fff; color: #1a1a1a;
-  font: 1rem/1.5 system-ui, sans-serif; overflow-wrap: anywhere; }
-h1 { font-size: 1.5rem; line-height: 1.25; margin: .5rem 0; }
-h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; padding-bottom: .2rem; border-bottom: 1px solid #ddd; }
-.outcome { font-size: 1.1rem; margin: .2rem 0; }
-.note { padding: .5rem .8rem; background: #fff4e5; border-left: .25rem solid #e69f00; }
-.quiet { color: #595959; }
-nav ul { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .8rem 0; padding: 0; list-style: none; }
-figure { margin: 1.2rem 0; overflow-x: auto; }
-figure img { display: block; max-width: 100%; height: auto; }
-figcaption { color: #595959; font-size: .9rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; vertical-align: top; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid #eee;
-  overflow-wrap: normal; }
-.value { text-align: right; white-space: nowrap; }
-th.group { padding-top: .9rem; color: #0072b2; }
-code, pre { font: .875rem/1.45 ui-monospace, monospace; }
-pre { background: #f6f6f6; padding: .6rem .8rem; overflow-x: auto; }
-summary { cursor: pointer; margin: .6rem 0; }
-@media (max-width: 40rem) {
-  h1 { font-size: 1.25rem; }
-  th, td { padding-right: .6rem; font-size: .9rem; white-space: nowrap; }
-  figure img { max-width: none; width: 40rem; }
-}
-"""
+def _draw(
+    names: Sequence[str], samples: Sequence[Sample], by: Sequence[str] | None, out: Path, form: Form, suffix: str = ""
+) -> tuple[list[Drawn], list[Path]]:
+    """Write the figures with these names for which there are data; the figures, and the files of vector graphics."""
+    drawn: list[Drawn] = []
+    files: list[Path] = []
+    for name in names:
+        what, _, over = name.partition("-")
+        try:
+            figure = plot(what, samples, by, over="distance" if over else "time")
+        except InputError as error:
+            if error.where != what:
+                raise
+            continue
+        drawn.append(Drawn(out / f"{name}{suffix}.png", KINDS[what].caption))
+        files += save_forms(figure, drawn[-1].file, form)
+    return drawn, files
 
 
-def page(runs: Sequence[MeasuredRun], figures: Mapping[Path, str]) -> str:
-    """The HTML of a report on one or several runs, with PNG `figures` embedded, by captions; every value is escaped."""
-    names = numbered_names(runs)
-    several = len(runs) > 1
-    title = f"Runs compared: {', '.join(names)}" if several else runs[0].title
-    first, *rest = [figure_block(file, caption, title) for file, caption in figures.items()] or [""]
-    labelled = [(name if several else "", run) for name, run in zip(names, runs, strict=True)]
-    metrics = metrics_rows([{key: digits(value) for key, value in run.metrics.items()} for run in runs])
-    head = ["metric", *(names if several else ["value"]), "unit", "meaning"]
-    sections = {"Metrics": table(head, metrics, len(runs))}
-    if rest:
-        sections["Figures"] = "\n".join(rest)
-    if audits := "\n".join(filter(None, (_audit(*one) for one in labelled))):
-        sections["Beside the truth"] = audits
-    sections["Configuration"] = _configuration(labelled)
-    sections["Reproduction"] = "\n".join(_reproduction(*one) for one in labelled)
-    outcomes = [_outcome(*one) for one in labelled]
-    return document(title, [*outcomes, contents(list(figures), list(sections)), first], sections)
+def _verdicts(name: str, run: MeasuredRun) -> Iterator[Verdict]:
+    """The first lines of a run, and what is missing in its folder."""
+    for label in _VERDICTS:
+        if text := run.summary.get(label):
+            is_alarm = label == "map" and text.split(":")[0].split()[0] not in _GOOD
+            yield Verdict(f"{name} {label}".strip(), text, is_alarm or text.startswith("overconfident"))
+    if run.folder is not None and not (run.folder / "metrics.json").is_file():
+        yield Verdict(name, "the run was stopped before its end; the page shows the record up to then", True)
+    if run.missing:
+        yield Verdict(name, f"the folder has no record of {'; '.join(run.missing)}", True)
 
 
-def _audit(name: str, run: MeasuredRun) -> str:
-    """What the audit of a replay by a truth has left in its folder; empty without one."""
-    if run.folder is None or not (file := run.folder / "audit.json").exists():
-        return ""
-    text = f"<pre>{escaped(json.loads(file.read_text(encoding='utf-8'))['text'])}</pre>"
-    picture = run.folder / "figures" / "audit.png"
-    caption = f"{name} Errors in their 3-sigma tubes, NEES over time, chi-square Q-Q.".strip()
-    return text + (figure_block(picture, caption, run.title) if picture.exists() else "")
+def _summaries(runs: Sequence[tuple[str, MeasuredRun]]) -> pd.DataFrame:
+    """The other lines of the summaries, a column per run."""
+    import pandas as pd
+
+    columns = {name: {k: text for k, text in run.summary.items() if k not in _VERDICTS} for name, run in runs}
+    return pd.DataFrame(columns).fillna("")
 
 
-def document(title: str, top: Sequence[str], sections: Mapping[str, str]) -> str:
-    """A page of HTML with a title, what stands at its top, and sections by their headings."""
-    parts = [f"<h1>{escaped(title)}</h1>", *top]
-    parts += [f'<h2 id="{anchor(name)}">{escaped(name)}</h2>\n{content}' for name, content in sections.items()]
-    body = "\n".join(part for part in parts if part)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escaped(title)}</title>
-<style>{_STYLE}</style>
-</head>
-<body>
-{body}
-</body>
-</html>
-"""
+def _audit(name: str, run: MeasuredRun) -> Iterator[Text | Drawn]:
+    """What the audit of a replay by a truth has left in its folder."""
+    if run.folder is None or "text" not in run.audited:
+        return
+    yield Text("\n".join(filter(None, (name, str(run.audited["text"])))))
+    if (picture := run.folder / "figures" / "audit.png").exists():
+        yield Drawn(picture, f"{name} Errors in their 3-sigma tubes, NEES over time, chi-square Q-Q.".strip())
+
+
+def _axes(samples: Sequence[Sample], axes: Sequence[str]) -> list[str]:
+    """The axes that differ in these runs, without the last ones where all would make too many groups."""
+    fields = [sample.fields for sample in samples]
+    by = differing(fields, axes) or ["estimator"]
+    while len(by) > 1 and len({tuple(one[name] for name in by) for one in fields}) > MOST_GROUPS:
+        by.pop()
+    return by
+
+
+def _spreads(groups: Mapping[str, Sequence[Sample]]) -> pd.DataFrame:
+    """The median of each metric over the runs of a group, and 10 to 90 %."""
+
+    def spread(values: Any) -> str:
+        low, middle, high = (digits(float(value)) for value in np.percentile(values, [10.0, 50.0, 90.0]))
+        return middle if low == high else f"{middle} ({low} to {high})"
+
+    columns = {
+        f"{name}, {len(samples)} runs": {
+            key: spread(found) for key in QUANTITIES if len(found := numbers(samples, key))
+        }
+        for name, samples in groups.items()
+    }
+    return as_text(side_by_side(columns))
+
+
+def _consistencies(summary: pd.DataFrame) -> Iterator[tuple[str, str]]:
+    """Each group with its NEES and the verdict on it."""
+    for names, row in summary.iterrows():
+        if row["NEES"]:
+            yield " · ".join(map(str, names)) if isinstance(names, tuple) else str(names), f"NEES {row['NEES']}"
+
+
+def _configuration(runs: Sequence[tuple[str, MeasuredRun]]) -> Iterator[pd.DataFrame | Text]:
+    """The fields that differ from the default, or between several runs, and the complete configurations, folded."""
+    import pandas as pd
+    import tomli_w
+
+    tables = [as_table(run.trace.config) for _, run in runs]
+    settings, columns = list(map(flat_texts, tables)), [name for name, _ in runs]
+    if len(runs) == 1:
+        settings.append(flat_texts(as_table(Config())))
+        columns = ["this run", "default"]
+    rows = {name: [fields.get(name, "none") for fields in settings] for name in differing(settings)}
+    if rows:
+        yield pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("different field")
+    for complete, (name, run) in zip(tables, runs, strict=True):
+        folded = " of ".join(filter(None, ("Complete configuration", name))) + " (config.toml)"
+        yield Text(tomli_w.dumps({**complete, **_notes(run)}), folded)
+
+
+def flat_texts(table: Mapping[str, Any]) -> dict[str, str]:
+    """Nested settings by dotted names, with values as on the command line."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, bool):
+            return str(value).lower()
+        return " ".join(map(text, value)) if isinstance(value, (tuple, list)) else str(value)
+
+    return {name: text(value) for name, value in flat(table).items()}
 
 
 def _notes(run: MeasuredRun) -> dict[str, dict[str, Any]]:
@@ -150,135 +263,41 @@ def _notes(run: MeasuredRun) -> dict[str, dict[str, Any]]:
     return {name: table[name] for name in NOTES if isinstance(table.get(name), dict)}
 
 
-def escaped(value: Any) -> str:
-    """A value as text for HTML."""
-    return html.escape(str(value))
-
-
-def _outcome(label: str, run: MeasuredRun) -> str:
-    name = f"{escaped(label)}: " if label else ""
-    line = f'<p class="outcome">{name}<strong>{escaped(run.outcome)}</strong></p>'
-    if run.folder is not None and not (run.folder / "metrics.json").is_file():
-        line += f'\n<p class="note">{name}the run was stopped before its end. The page shows the record up to then.</p>'
-    if run.verdict is not None:
-        kind = "quiet" if run.verdict.level == "good" else "note"
-        line += f'\n<p class="{kind}">{name}map {escaped(run.verdict)}</p>'
-    if run.missing:
-        line += f'\n<p class="note">{name}the folder has no record of {escaped("; ".join(run.missing))}.</p>'
-    return line
-
-
-def contents(figures: Sequence[Path], sections: Sequence[str]) -> str:
-    """Links to the figures and sections of a page."""
-    links = [(f"figure-{file.stem}", f"{file.stem} (figure)") for file in figures]
-    links += [(anchor(name), name) for name in sections]
-    items = "".join(f'<li><a href="#{escaped(at)}">{escaped(name)}</a></li>' for at, name in links)
-    return f'<nav aria-label="Contents"><ul>{items}</ul></nav>'
-
-
-def anchor(name: str) -> str:
-    """The identifier of a section."""
-    return name.lower().replace(" ", "-")
-
-
-def figure_block(file: Path, caption: str, title: str) -> str:
-    """A PNG with its caption; the text for those who do not see it has the page's title, too."""
-    data = base64.b64encode(file.read_bytes()).decode("ascii")
-    return (
-        f'<figure id="figure-{escaped(file.stem)}"><div class="wide">'
-        f'<img alt="{escaped(f"{caption} {title}")}" src="data:image/png;base64,{data}"></div>'
-        f"<figcaption>{escaped(caption)}</figcaption></figure>"
-    )
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
-    """A table that scrolls horizontally if it is too wide; `numbers` as in `html_table`."""
-    return f'<div class="wide">{html_table(head, rows, numbers)}</div>'
-
-
-def metrics_rows(runs: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Metrics by key, as texts, in groups: a column per run or group of runs, the unit and the meaning."""
-
-    def cells(key: str) -> list[str]:
-        meaning = QUANTITIES[key].meaning if key in QUANTITIES else ""
-        return [key, *(run.get(key, "") for run in runs), unit(key), meaning]
-
-    return in_groups(runs, cells)
-
-
-def _configuration(labelled: Sequence[tuple[str, MeasuredRun]]) -> str:
-    """The fields that differ from the default, or between several runs, and the complete configurations, folded."""
-    import tomli_w
-
-    tables = [as_table(run.trace.config) for _, run in labelled]
-    settings, columns = list(map(flat_texts, tables)), [name for name, _ in labelled]
-    same = "All runs have the same configuration."
-    if len(labelled) == 1:
-        settings.append(flat_texts(as_table(Config())))
-        columns, same = ["this run", "default"], "All fields have their default values."
-    rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in differing(settings)]
-    parts = [table(["different field", *columns], rows) if rows else f"<p>{same}</p>"]
-    for complete, (name, run) in zip(tables, labelled, strict=True):
-        of = f" of {escaped(name)}" if name else ""
-        text = escaped(tomli_w.dumps({**complete, **_notes(run)}))
-        parts.append(f"<details><summary>Complete configuration{of} (config.toml)</summary><pre>{text}</pre></details>")
-    return "\n".join(parts)
-
-
-def flat_texts(table: Mapping[str, Any]) -> dict[str, str]:
-    """Nested settings by dotted names, with values as on the command line."""
-    return {name: _value_text(value) for name, value in flat(table).items()}
-
-
-def _value_text(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return " ".join(map(_value_text, value)) if isinstance(value, (tuple, list)) else str(value)
-
-
 _LOGS = ("log", "merged_with")
 """inputs of a replay that are arguments of its command"""
 
 
 def _reproduction(name: str, run: MeasuredRun) -> str:
     """The commands that repeat a run, and the versions that produced it."""
-    parts, notes = [f"<p><strong>{escaped(name)}</strong></p>" if name else ""], _notes(run)
+    lines, notes = [name] if name else [], _notes(run)
     if run.folder is not None:
-        config = shlex.quote(str(run.folder / "config.toml"))
-        replayed = notes.get("replayed", {})
-        command = f"sixthsense run --config {config}"
-        logs = " ".join(shlex.quote(str(replayed[name])) for name in _LOGS if name in replayed)
+        replayed, config = notes.get("replayed", {}), shlex.quote(str(run.folder / "config.toml"))
+        logs = " ".join(shlex.quote(str(replayed[key])) for key in _LOGS if key in replayed)
         more = "".join(
-            f" --{name.replace('_', '-')} {shlex.quote(str(value))}"
-            for name, value in replayed.items()
-            if name not in _LOGS
+            f" --{key.replace('_', '-')} {shlex.quote(str(value))}"
+            for key, value in replayed.items()
+            if key not in _LOGS
         )
+        command = f"sixthsense run --config {config}"
         if logs:
             command = f"sixthsense {'merge' if _LOGS[1] in replayed else 'replay'} {logs} --config {config}{more}"
         elif replayed:
             command = f"sixthsense live{more} --config {config}"
-        with_map = _prior_map_options(notes.get("prior_map", {}))
-        command += with_map
-        again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"
-        parts.append(f"<pre>{escaped(command)}</pre>")
-        if with_map:
+        prior = _prior_map_options(notes.get("prior_map", {}))
+        lines.append(command + prior)
+        lines += ["or, from the recorded sensor data:", f"sixthsense replay {shlex.quote(str(run.folder))}{prior}"]
+        if prior:
             note = notes["prior_map"]
-            said = f"{note['name']} is the folder of the prior map, of which its name and digest alone are recorded"
-            parts.append(f"<p>Here {escaped(said)} ({escaped(str(note.get('digest', ''))[:12])}).</p>")
-        parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{escaped(again)}</pre>")
+            lines.append(f"{note['name']} is the folder of the prior map ({str(note.get('digest', ''))[:12]})")
     versions = notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
-    words = ", ".join(f"{name} {version}" for name, version in versions.items())
-    parts.append(f'<p class="quiet">Run by {escaped(words)}.</p>')
-    return "\n".join(part for part in parts if part)
+    return "\n".join([*lines, f"run by {', '.join(f'{key} {version}' for key, version in versions.items())}"])
 
 
 def _prior_map_options(note: Any) -> str:
     """The options of a run that began with a prior map, whose folder is known by its name only."""
     if not isinstance(note, Mapping) or "name" not in note:
         return ""
-    options = f" --prior-map {shlex.quote(str(note['name']))}"
-    if note.get("lost") is True:
-        options += " --lost"
+    options = f" --prior-map {shlex.quote(str(note['name']))}" + " --lost" * (note.get("lost") is True)
     for name in ("pose", "pose_sigma"):
         value = note.get(name)
         if isinstance(value, list) and (name == "pose" or any(value)):  # sigmas are 0 by default

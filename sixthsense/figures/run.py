@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import base64
+import html
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any
 
 from sixthsense.config.files import path_of
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
-    from sixthsense.core.picture import Picture
     from sixthsense.evaluation.curves import Over
-    from sixthsense.figures.canvas import OnAxes
 
 __all__ = ["Run", "Trace", "load"]
 
@@ -20,31 +20,32 @@ __all__ = ["Run", "Trace", "load"]
 class Run(MeasuredRun):
     """The result of `ss.run`, `ss.replay` and `ss.load`: a record with metrics and figures, computed on demand.
 
-    A notebook displays it as its map with the most important metrics.
+    It prints as its summary. A notebook displays it as its map with that summary.
     """
 
-    @overload
-    def plot(self, what: str = "map", *, over: Over = "time", ax: None = None) -> Picture: ...
-    @overload
-    def plot(self, what: str = "map", *, over: Over = "time", ax: OnAxes) -> None: ...
-    def plot(self, what: str = "map", *, over: Over = "time", ax: OnAxes | None = None) -> Picture | None:
+    def plot(self, what: str = "map", *, over: Over = "time", ax: Any = None) -> Any:
         """A figure of the run: "map", "error", "rpe", "nees", "nis", "stages", "coverage" or "exploration".
 
         The result is a matplotlib figure, which a notebook displays, and which `.savefig(file)` writes. "error" and
         "nees" can be drawn `over` "distance" travelled. On `ax`, one Axes or as many as the figure has panels, it is
-        drawn in place and nothing is returned; on one Axes, "error", "nees" and "rpe" draw their main panel alone.
+        drawn in place without a title, and the axes are returned; on one Axes, "error" and "rpe" draw their main panel.
 
         Raises InputError with the allowed names for any other name, for another number of axes, and for a figure whose
         data the run lacks, such as errors without truth.
         """
-        from sixthsense.figures.panels import figure
+        from sixthsense.figures.kinds import plot
 
-        return figure(what, [self], over, ax)
+        return plot(what, [self.sample(self.name)], None, ax, over)
 
     def _repr_html_(self) -> str:
-        from sixthsense.figures.panels import card
+        from sixthsense.figures.plot import map_figure
 
-        return card(self)
+        picture = base64.b64encode(map_figure(self.trace, "", 5.0, legend=False).png(dpi=70.0)).decode()
+        lines = "".join(f"<tr><th>{name}</th><td>{html.escape(text)}</td></tr>" for name, text in self.summary.items())
+        return (
+            f"<div><b>{html.escape(self.title)}</b><br>"
+            f'<img alt="map" src="data:image/png;base64,{picture}"><table>{lines}</table></div>'
+        )
 
 
 def load(folder: str | Path) -> Run:

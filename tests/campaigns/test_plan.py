@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import tomli_w
 from PIL import Image
@@ -22,7 +23,7 @@ from sixthsense.campaigns.folder import read_folder, save_folder
 from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, scene_digest, seed_range
 from sixthsense.config import Config, merge
 from sixthsense.config.errors import InputError
-from sixthsense.evaluation.curves import Curves
+from sixthsense.evaluation.curves import CURVES
 from sixthsense.slam.estimators.ekf import EKF
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -121,7 +122,8 @@ def done() -> CampaignPlan:
             "ate_rmse_m": error,
             **{f"rpe_{part}_{m}m": error * m for part in ("trans_m", "rot_deg") for m in (1, 2)},
         }
-        curves = Curves(np.arange(4.0), 0.5 * np.arange(4.0), np.full(4, error), np.full(4, 0.1), np.full(4, 3.0))
+        columns = np.arange(4.0), 0.5 * np.arange(4.0), error, 0.1, 3.0
+        curves = pd.DataFrame(dict(zip(CURVES, columns, strict=True)))
         CampaignRows(Path("mc")).add({**row, worker.CURVES: curves})
     return planned
 

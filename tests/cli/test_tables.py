@@ -1,10 +1,8 @@
 """Tables: outcome and exit code; command, preset and base configuration; option and field; what beats what."""
 
-import re
 import shlex
 import shutil
 from collections.abc import Callable, Mapping
-from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +15,7 @@ from sixthsense import cli
 from sixthsense.cli.common import Common, show_end
 from sixthsense.config import PRESETS, Config, load_config, merge, preset, save_config
 from sixthsense.config.errors import InputError
-from sixthsense.figures.report import page
+from sixthsense.figures.report import _reproduction
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -220,5 +218,5 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_report_has_the_commands_that_repeat_its_run(replayed, prior_map, command, again, tour: Path) -> None:
     shutil.copytree(tour, "x")
     save_config(load_config("x/config.toml"), "x/config.toml", replayed, prior_map)
-    found = [unescape(one) for one in re.findall(r"<pre>(sixthsense .*?)</pre>", page([ss.load("x")], {}))]
+    found = [line for line in _reproduction("", ss.load("x")).splitlines() if line.startswith("sixthsense")]
     assert found == [f"sixthsense {command}", f"sixthsense {again}"]

@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from sixthsense.evaluation.consistency import Consistency, consistency
 from sixthsense.evaluation.effective import (
-    band_of_runs,
     effective_number,
     effective_samples,
     effective_samples_of_errors,
@@ -78,6 +78,36 @@ def test_whitened_errors_have_the_square_of_the_errors():
     assert whitened_errors(error, cov) == pytest.approx(np.array(white), rel=1e-5)
 
 
-def test_the_band_is_of_the_samples_from_thirty_on_and_else_of_the_runs():
-    for samples, runs, count in ((29.9, 4, 4), (30.0, 4, 30.0), (57.3, 4, 57.3)):
-        assert band_of_runs(samples, runs) == pytest.approx(chi2.ppf((0.025, 0.975), 3 * count) / count)
+@pytest.mark.parametrize(
+    ("nees", "samples", "outcome"),
+    [
+        (4.1, 29.9, "too short to tell"), (4.1, 30.0, "overconfident"), (3.0, 30.0, "consistent"),
+        (2.1, 30.0, "cautious"), (2.1, 29.9, "too short to tell"), (3.6, 30.0, "consistent"),
+        (3.6, 90.0, "overconfident"),
+    ],
+)  # fmt: skip
+def test_a_verdict_needs_thirty_samples_and_flips_where_the_mean_leaves_its_band(nees, samples, outcome):
+    found = Consistency(nees, samples)
+    low, high = chi2.ppf((0.025, 0.975), 3 * samples) / samples
+    assert found.band == pytest.approx((low, high)) and found.interval == pytest.approx((nees / high, nees / low))
+    assert found.outcome == outcome and str(found).startswith(f"{outcome}: NEES {nees:.2f}, {low:.2f} to {high:.2f} is")
+    assert (low <= nees <= high) == (found.interval[0] <= 1.0 <= found.interval[1])
+
+
+def test_a_nees_beyond_any_chance_is_named_though_the_run_is_too_short():
+    limit = float(chi2.ppf(0.999, 3))
+    assert "no chance" in str(Consistency(limit + 0.1, 4.0)) and "no chance" not in str(Consistency(limit - 0.1, 4.0))
+
+
+def test_the_mean_and_the_samples_of_runs_are_those_of_their_nees_and_heavy_tails_count_as_fewer():
+    rng, runs = np.random.default_rng(8), []
+    for count in (400, 250):
+        root = rng.uniform(-0.3, 0.3, (count, 3, 3)) + np.eye(3)
+        runs.append(((root @ rng.standard_t(4, (count, 3, 1)))[:, :, 0], root @ root.transpose(0, 2, 1)))
+    nees = [np.array([e @ np.linalg.solve(c, e) for e, c in zip(*run, strict=True)]) for run in runs]
+    together = np.concatenate(nees)
+    plain = effective_number(nees, [whitened_errors(*run) for run in runs])
+    heavy = 2.0 * together.mean() ** 2 / 3 / together.var()
+    assert heavy < 0.7
+    found = consistency(runs)
+    assert (found.nees, found.samples) == (pytest.approx(together.mean()), pytest.approx(plain * heavy))

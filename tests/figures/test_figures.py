@@ -8,18 +8,15 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
-from sixthsense import figures
+import sixthsense as ss
 from sixthsense.config import preset
-from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import LaserConfig, Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
+from sixthsense.config.errors import InputError
 from sixthsense.figures import slider
-from sixthsense.figures.panels import KINDS
+from sixthsense.figures.kinds import KINDS
+from sixthsense.figures.overtime import draw_error, draw_nis
 from sixthsense.figures.plot import ellipse, known_blocks, known_cells, save_map
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
-
-ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
 
 
 @pytest.fixture
@@ -27,33 +24,11 @@ def trace(explored) -> Trace:
     return explored.trace
 
 
-@pytest.fixture(scope="module")
-def scan() -> Scan:
-    laser = LaserConfig()
-    return Scan.from_config(cast_rays(Pose(0.3, 0.2, 0.1), beam_bearings(laser), ROOM, 10.0), laser)
-
-
-@pytest.fixture
-def ax():
-    return Figure().add_subplot()
-
-
 def test_a_run_without_keyframes_can_be_drawn(trace):
     nothing = dataclasses.replace(trace, key_stamps_ns=[], key_estimates=[], key_truths=[], associations=[])
     for k in range(3):
-        figures.draw_error(Figure().add_subplot(), nothing, k)
-    figures.draw_nees(Figure().add_subplot(), nothing)
-    figures.draw_nis(Figure().add_subplot(), nothing)
-
-
-def test_returns_lie_on_the_walls_at_the_ends_of_the_beams(ax, scan):
-    pose = Pose(0.3, 0.2, 0.1)
-    figures.draw_returns(ax, pose, scan)
-    points = np.asarray(ax.collections[0].get_offsets())
-    np.testing.assert_allclose(np.abs(points).max(axis=1), 2.0, atol=1e-5)
-    figures.draw_beams(ax, pose, scan)
-    ends = np.array([segment[1] for segment in ax.collections[1].get_segments()])
-    np.testing.assert_allclose(ends, points, atol=1e-9)
+        draw_error(Figure().add_subplot(), nothing, k)
+    draw_nis(Figure().add_subplot(), nothing)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -67,15 +42,26 @@ def test_every_point_of_an_ellipse_has_the_mahalanobis_distance_that_95_percent_
 
 
 @pytest.mark.parametrize("what", sorted({*KINDS} - {"rpe"}))
-def test_every_figure_is_drawn_on_axes_of_ones_own(explored, what) -> None:
-    panels = {"error": 3}.get(what, 1)
-    own = Figure().subplots(panels, 1, squeeze=False).ravel()
-    assert explored.plot(what, ax=own) is None
-    assert all(ax.has_data() for ax in own) and "rectangle" in own[0].get_title()
-    one = Figure().add_subplot()
-    one.set_title("my own")
-    explored.plot(what, ax=one)
+def test_every_figure_is_drawn_on_axes_of_ones_own_without_a_title_and_returns_them(explored, what) -> None:
+    own = Figure().subplots({"error": 3}.get(what, 1), 1, squeeze=False)
+    assert explored.plot(what, ax=own) is own
+    assert all(ax.has_data() and not ax.get_title() and ax.get_legend() for ax in own.ravel())
+    one = Figure().add_subplot(title="my own")
+    assert explored.plot(what, ax=one) is one
     assert one.has_data() and one.get_title() == "my own"
+
+
+def test_panels_of_one_comparison_share_their_limits(explored) -> None:
+    short = dataclasses.replace(explored.trace, estimates=explored.trace.estimates[:20])
+    both = ss.compare({"a": explored, "b": short})
+    for what, axes in (("map", "xy"), ("nis", "xy"), ("exploration", "xy")):
+        panels = Figure().subplots(1, 2)
+        both.plot(what, ax=panels)
+        for name in axes:
+            first, second = (getattr(ax, f"get_{name}lim")() for ax in panels)
+            assert first == second
+    with pytest.raises(InputError, match="ax: found 3 axes, allowed: 2"):
+        both.plot("map", ax=Figure().subplots(1, 3))
 
 
 def test_blocks_of_cells_lie_where_the_cells_do_and_keep_every_obstacle(trace: Trace) -> None:

@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
@@ -16,8 +17,8 @@ from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.evaluation.results import Metrics
 from sixthsense.figures.animation import animate
-from sixthsense.figures.panels import KINDS
-from sixthsense.figures.report import page, report
+from sixthsense.figures.kinds import KINDS
+from sixthsense.figures.report import Verdict, page, report
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 
@@ -103,8 +104,9 @@ REPEATED = {
 def test_the_page_has_the_command_that_repeats_a_run(name: str, tmp_path: Path) -> None:
     notes, command = REPEATED[name]
     folder = noted(tmp_path / "one", notes)
-    found = [html.unescape(block) for block in re.findall("<pre>(.*?)</pre>", page([shown(folder=folder)], {}))]
-    assert command.format(config=folder / "config.toml") in found
+    report([shown(folder=folder)], tmp_path / "out")
+    found = html.unescape((tmp_path / "out" / PAGE).read_text(encoding="utf-8"))
+    assert command.format(config=folder / "config.toml") in re.split(r"\n|<pre>", found)
 
 
 def without_truth(run: Run) -> Run:
@@ -118,7 +120,7 @@ def test_one_run_has_a_figure_of_each_kind(finished, tmp_path):
     for file in files[:-1]:
         with Image.open(file) as image:
             image.load()
-            assert image.size[0] > 800
+            assert image.size[0] > 600
 
 
 def test_several_runs_are_shown_side_by_side_with_a_table(finished, tmp_path):
@@ -161,13 +163,30 @@ def test_every_external_text_is_escaped(tmp_path):
     quoted = json.dumps(nasty)
     notes = f"[versions]\n{quoted} = {quoted}\n[replayed]\nlog = {quoted}\n{quoted} = {quoted}\n"
     metrics = {"outcome": nasty, nasty: nasty}
-    run = shown(nasty, metrics, noted(tmp_path / nasty, notes), scene=nasty)
-    for runs in ([run], [run, shown()]):
-        text = page(runs, {})
+    run = shown(nasty, metrics, noted(tmp_path / "one", notes), scene=nasty)
+    for k, runs in enumerate(([run], [run, shown()])):
+        report(runs, tmp_path / f"{k}")
+        text = (tmp_path / f"{k}" / PAGE).read_text(encoding="utf-8")
         parsed = Page(text)
         assert "b" not in parsed.tags
         assert "<b " not in text
         assert nasty in parsed.text
+
+
+def test_a_page_says_the_verdicts_of_a_run_first_in_the_words_of_its_summary(folder, tmp_path):
+    run = load(folder)
+    report([run], tmp_path / "plain")
+    text = Page((tmp_path / "plain" / PAGE).read_text(encoding="utf-8")).text
+    places = [text.index(run.summary[label]) for label in ("outcome", "map", "consistency", "accuracy", "speed")]
+    assert places == sorted(places) and run.summary["consistency"] in str(run) and run.summary["map"] in repr(run)
+
+
+def test_a_page_has_its_sections_in_order_and_leaves_out_empty_ones():
+    frame = pd.DataFrame({"value": ["<x>"]}, index=["one"])
+    verdicts = [Verdict("", "good"), Verdict("b", "broken", True)]
+    text = page("a title", verdicts, {"First": [frame], "Empty": [], "Last": [frame]})
+    assert '<h2 id="first">First</h2>' in text and "Empty" not in text and "&lt;x&gt;" in text
+    assert text.count("verdict alarm") == 1 and text.index("good") < text.index("broken") < text.index("<nav")
 
 
 def test_vector_figures_are_the_same_each_time(folder, tmp_path, monkeypatch):

@@ -1,18 +1,25 @@
-"""Figures of one scan: its processing (report figures 2, 3, 4, 11), its settings, and a filter's state after it."""
+"""What the notebooks and pages draw of one scan, one filter step, a grid and a path, beside `sixthsense.figures`.
+
+Each function draws on given axes. `record` runs a configuration and keeps its keyframes.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sixthsense.config import Config
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.landmarks import Observation
 from sixthsense.core.laser import Scan
+from sixthsense.core.source import Tick, seconds
+from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.figures.plot import (
     CHI2_95,
     CYCLE,
@@ -20,19 +27,98 @@ from sixthsense.figures.plot import (
     LANDMARK,
     OBSERVATION,
     PLAN,
+    SEEN,
+    WALL,
     WALL_FOUND,
     draw_segments,
     ellipse,
     label_plane,
+    shade,
+    walls_found,
 )
+from sixthsense.loop.run import run
+from sixthsense.record.trace import Trace
 from sixthsense.simulation.scene import Scene
-from sixthsense.slam.features import Features
+from sixthsense.slam.features import Features, extract
 from sixthsense.slam.features.partition import Indices
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.grid import Grid
 
 _RETURN = "#666666"
 _NORMAL_95 = 1.96  # sigmas
 _SAME_POINT_M = 0.15  # largest distance of two observations of the same landmark
 _SAME_WALL_M = 0.1  # largest distance of a wall's middle and quarter points from walls of the other set
+_INFLATED = "#F6CFBF"
+
+
+def draw_truth(ax: Any, scene: Scene, color: str = "#C8C8C8", near: Array | None = None, reach_m: float = 0.0) -> None:
+    """Draw the true walls and show all of them, or a window of `reach_m` around the point `near` (2,)."""
+    draw_segments(ax, scene.walls, colors=color, linewidths=1.4, zorder=0.5, label="true walls")
+    label_plane(ax)
+    low, high = scene.walls.reshape(-1, 2).min(axis=0) - 0.4, scene.walls.reshape(-1, 2).max(axis=0) + 0.4
+    if near is not None:
+        low, high = np.maximum(low, near - reach_m), np.minimum(high, near + reach_m)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def window(ax: Any, points: Array) -> None:
+    """Show (N, 2) points with a margin of a metre in a window of aspect 4 to 3."""
+    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    centre, half = 0.5 * (low + high), 0.5 * max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)
+    ax.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - 0.75 * half, centre[1] + 0.75 * half))
+
+
+def draw_seen(ax: Any, space: FreeSpace) -> None:
+    """Colour the cells that a beam crossed or ended in: the sense grid."""
+    shade(ax, space.seen, space.origin, space.cell_m, SEEN, 0.1)
+
+
+def draw_hits(ax: Any, grid: Grid, cell_m: float) -> None:
+    """Colour the obstacle cells of the hit grid, and in a paler colour the inflated cells."""
+    space = grid.free_space()
+    shade(ax, space.blocked, space.origin, space.cell_m, _INFLATED, 0.2)
+    shade(ax, grid.obstacles, grid.origin, cell_m, LANDMARK, 0.3)
+
+
+def draw_path(ax: Any, plan: Array, optimised: Array | None = None) -> None:
+    """Draw a planned path (N, 2), and if given its shortcut (M, 2) with the current way point."""
+    ax.plot(plan[:, 0], plan[:, 1], color=PLAN, linewidth=1.6, zorder=5, label="planned path")
+    if optimised is not None:
+        ax.plot(optimised[:, 0], optimised[:, 1], color=ESTIMATE, linewidth=1.6, zorder=6, label="path after shortcut")
+        style = {"facecolors": "none", "edgecolors": OBSERVATION, "linewidths": 2.0, "zorder": 7}
+        ax.scatter(*optimised[min(1, len(optimised) - 1)], s=90.0, label="current way point", **style)
+    ax.scatter(*plan[-1], s=80.0, marker="*", color=PLAN, zorder=7, label="goal")
+    label_plane(ax)
+
+
+def draw_robot(ax: Any, pose: Pose, radius_m: float) -> None:
+    """Draw the robot as a disc with a line for its heading."""
+    from matplotlib.patches import Circle
+
+    ax.add_patch(Circle((pose.x, pose.y), radius_m, facecolor="white", edgecolor=WALL, linewidth=1.2, zorder=8))
+    nose = pose.position + radius_m * np.array([math.cos(pose.theta), math.sin(pose.theta)])
+    ax.plot([pose.x, nose[0]], [pose.y, nose[1]], color=WALL, linewidth=1.2, zorder=9)
+
+
+def draw_region(ax: Any, space: FreeSpace, cells: NDArray[np.bool_]) -> None:
+    """Colour a mask (H, W) of cells, such as the reachable ones, and the blocked cells."""
+    shade(ax, cells, space.origin, space.cell_m, SEEN, 0.1)
+    shade(ax, space.blocked, space.origin, space.cell_m, _INFLATED, 0.2)
+
+
+def draw_way(ax: Any, poses: Array, color: str = ESTIMATE, label: str | None = None, width: float = 0.9) -> None:
+    """Draw the path along positions (N, 2) or poses (N, 3), world frame, metres."""
+    ax.plot(poses[:, 0], poses[:, 1], color=color, linewidth=width, label=label)
+    label_plane(ax)
+
+
+def draw_walls_at(ax: Any, trace: Trace, poses: Array) -> None:
+    """Draw the detected walls of the keyframes, placed by `poses` (S, 3), one for each scan."""
+    # The first scan with a given last keyframe is that keyframe.
+    first = np.unique(trace.last_key, return_index=True)[1]
+    style: dict[str, Any] = {"colors": WALL, "linewidths": 0.5, "alpha": 0.5, "zorder": 1}
+    draw_segments(ax, walls_found(trace, poses[first]), **style)
+    label_plane(ax)
 
 
 def _points(pose: Pose, scan: Scan) -> Array:
@@ -226,3 +312,96 @@ def draw_change(ax: Any, pose: Pose, change: Change) -> None:
     ax.scatter(*lost.T, s=45.0, marker="x", color=LANDMARK, linewidths=1.6, zorder=6, label="lost landmarks")
     ax.scatter(*gained.T, edgecolors=PLAN, zorder=6, label="gained landmarks", **hollow)
     label_plane(ax)
+
+
+@dataclass
+class Recording:
+    """The trace of a run with its keyframes."""
+
+    trace: Trace = field(init=False)
+    """trace of the whole run"""
+    scans: list[Scan] = field(default_factory=list)
+    """the keyframes"""
+    plans: list[int] = field(default_factory=list)
+    """for each keyframe, the number of plans after it"""
+
+    def on_tick(self, tick: Tick, trace: Trace) -> None:
+        """Keep the scan if it is a keyframe."""
+        if tick.scan is not None and len(trace.key_stamps_ns) > len(self.scans):
+            self.scans.append(tick.scan)
+            self.plans.append(len(trace.plans))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the run."""
+        assert self.trace.scene is not None
+        return self.trace.scene
+
+    def pose(self, k: int) -> Pose:
+        """The estimated pose at keyframe k, after its update."""
+        return self.trace.key_estimates[k].pose
+
+    def time_s(self, k: int) -> float:
+        """Time of keyframe k since the first one, seconds."""
+        return seconds(self.trace.key_stamps_ns[k] - self.trace.key_stamps_ns[0])
+
+    def grid(self, k: int) -> Grid:
+        """The grid after keyframe k, rebuilt from the keyframes up to it."""
+        grid = Grid(self.trace.config.grid, self.trace.radius_m)
+        for i in range(k + 1):
+            grid.add(self.pose(i), self.scans[i], self.trace.walls_found[i])
+        return grid
+
+    def features(self, k: int) -> Features:
+        """The features of keyframe k."""
+        return features_of(self.scans[k], self.trace.config)
+
+    def way(self, k: int) -> Array:
+        """(M, 2) estimated positions up to keyframe k."""
+        return np.array(self.trace.estimates)[: 1 + self.trace.last_key.index(k), :2]
+
+
+@dataclass(frozen=True, slots=True)
+class Culled:
+    """A landmark that was removed from the state."""
+
+    born: int
+    """keyframe at which it was initialised"""
+    gone: int
+    """first keyframe without it"""
+    off_m: float
+    """distance of its last position from the nearest true corner or wall end"""
+    position: Array
+    """(2,) last position, world frame"""
+
+
+def worst_culled(run: Recording) -> Culled:
+    """Of the landmarks that a run of points has forgotten, the one farthest from any true one.
+
+    Raises ValueError for a run without removed landmarks.
+    """
+    true = true_landmarks(run.scene.walls)
+    seen: dict[int, tuple[int, Array]] = {}
+    found: list[Culled] = []
+    for k, estimate in enumerate(run.trace.key_estimates):
+        now = dict(zip(estimate.ids.tolist(), estimate.landmarks, strict=True))
+        for i in set(seen) - set(now):
+            born, where = seen.pop(i)
+            found.append(Culled(born, k, float(np.linalg.norm(true - where, axis=1).min()), where))
+        for i, where in now.items():
+            seen[i] = seen.get(i, (k, where))[0], where
+    if not found:
+        raise ValueError("run: found no removed landmark, allowed: a run with one")
+    return max(found, key=lambda one: one.off_m)
+
+
+def features_of(scan: Scan, config: Config) -> Features:
+    """The features of a scan, extracted with a fixed seed."""
+    return extract(scan, config.assumed, config.features, np.random.default_rng(0))
+
+
+def record(config: Config) -> Recording:
+    """Run a configuration and keep its keyframes."""
+    recording = Recording()
+    recording.trace = run(config, recording.on_tick)
+    return recording
