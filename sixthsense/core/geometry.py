@@ -8,7 +8,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from sixthsense.core.se2 import Array, composed, inverted, wrapped
+from sixthsense.core.se2 import Array, compose, inverse, wrapped
 
 __all__ = ["Array", "Pose", "interpolated", "point_segment_distance", "rotation", "wrap_angle"]
 
@@ -94,7 +94,7 @@ class Pose:
 
     def inverse(self) -> Pose:
         """`T_b_a` of `T_a_b`."""
-        return Pose(*inverted(self.triple()))
+        return Pose(*inverse(self.triple()))
 
     def adjoint(self) -> Array:
         """(3, 3) adjoint of `T_a_b`: turns a small motion (x, y, theta) in the axes of b into the same in those of a.
@@ -111,7 +111,7 @@ class Pose:
     def __matmul__(self, other: Array) -> Array: ...
     def __matmul__(self, other: Pose | Array) -> Pose | Array:
         if isinstance(other, Pose):
-            return Pose(*composed(self.triple(), other.triple()))
+            return Pose(*compose(self.triple(), other.triple()))
         c, s = math.cos(self.theta), math.sin(self.theta)
         points = np.asarray(other, dtype=np.float64)
         if points.shape[-1:] != (2,):

@@ -12,7 +12,7 @@ from sixthsense.config import AssumedConfig, Distribution
 from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.odometry_kernels import OdometryNoise, increment, motion_covariance, variance_divisor
-from sixthsense.core.se2 import composed_covariance, relative, turned_covariance
+from sixthsense.core.se2 import between, composed_covariance, turned_covariance
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms
 
 
@@ -185,7 +185,7 @@ class _Reported:
             self._poses.popleft()
         end, last = self._at(latency_s)
         # The difference of places first: a turn on the spot has no rounding error then, which would look like a curve.
-        motion = Pose() if start == end else Pose(*relative(start.triple(), end.triple()))
+        motion = Pose() if start == end else Pose(*between(start.triple(), end.triple()))
         change = last - first
         change[:2] = change[:2] @ rotation(start.theta) + first[2] * np.array([motion.y, -motion.x])
         return motion, change

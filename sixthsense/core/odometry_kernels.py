@@ -11,7 +11,7 @@ import numpy as np
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.arcs import arc_jacobian, arc_length
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import Triple, composed, inverted
+from sixthsense.core.se2 import Triple, between
 from sixthsense.core.wheels import Wheels, true_motion
 
 _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes
@@ -111,5 +111,5 @@ def motion_covariance(motion: Triple, noise: OdometryNoise) -> Array:
 @numba.njit(cache=True, error_model="numpy")
 def increment(before: Triple, after: Triple, noise: OdometryNoise) -> tuple[Triple, Array]:
     """The motion between two different poses by the wheels, and (3, 3) of its error."""
-    motion = true_motion(composed(inverted(before), after), noise.wheels)
+    motion = true_motion(between(before, after), noise.wheels)
     return motion, motion_covariance(motion, noise)

@@ -1,19 +1,22 @@
-"""Rigid motions of the plane, SE(2): poses as triples, rows of poses, and covariances in their axes.
+"""Rigid motions of the plane, SE(2), and covariances in their axes.
 
-A pose `T_a_b` is x, y (m) and theta (rad, in [-pi, pi)) of frame b seen from frame a. Kernels take it as a triple,
-arrays have one in each row; `Pose` is the same for users, and computes by these functions.
+A pose `T_a_b` is x, y (m) and theta (rad, in [-pi, pi)) of frame b seen from frame a. Users have a `Pose`, arrays one
+pose in each row, and kernels a triple. `compose`, `inverse` and `between` compute with rows and triples alike.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, overload
 
 import numba
+import numba.extending
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
+"""a `Pose` to a kernel"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -33,47 +36,55 @@ def triple(row: Array) -> Triple:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def composed(a: Triple, b: Triple) -> Triple:
-    """`T_a_c` of `T_a_b` and `T_b_c`."""
+def _composed(a: Triple, b: Triple) -> Triple:
     c, s = math.cos(a[2]), math.sin(a[2])
     return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrapped(a[2] + b[2])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def inverted(a: Triple) -> Triple:
-    """`T_b_a` of `T_a_b`."""
+def _inverted(a: Triple) -> Triple:
     c, s = math.cos(a[2]), math.sin(a[2])
     return -c * a[0] - s * a[1], s * a[0] - c * a[1], wrapped(-a[2])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def relative(a: Triple, b: Triple) -> Triple:
-    """`T_a_b` of `T_w_a` and `T_w_b`."""
+def _relative(a: Triple, b: Triple) -> Triple:
     c, s = math.cos(a[2]), math.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     return c * dx + s * dy, c * dy - s * dx, wrapped(b[2] - a[2])
 
 
-@numba.njit(cache=True, error_model="numpy")
-def seen_from(T_a_b: Triple, motion: Triple) -> Triple:
-    """The motion of frame a, where b is fixed to a at `T_a_b` and `motion` is that of b: `T_a_b @ motion @ T_b_a`."""
-    return composed(composed(T_a_b, motion), inverted(T_a_b))
+@overload
+def compose(a: Array, b: Array) -> Array: ...
+@overload
+def compose(a: Triple, b: Triple) -> Triple: ...
+def compose(a: Any, b: Any) -> Triple | Array:
+    """`T_a_c` of `T_a_b` and `T_b_c`: triples, or rows (3,) or (N, 3), of which a single one stands for all."""
+    return _by_rows(a, b, False) if isinstance(a, np.ndarray) else _composed(a, b)
 
 
-def compose(a: Array, b: Array) -> Array:
-    """`T_a_c` of `T_a_b` and `T_b_c`, (3,) or (N, 3) each; (3,) if both are."""
-    return _by_rows(a, b, False)
+@overload
+def between(a: Array, b: Array) -> Array: ...
+@overload
+def between(a: Triple, b: Triple) -> Triple: ...
+def between(a: Any, b: Any) -> Triple | Array:
+    """`T_a_b` of `T_w_a` and `T_w_b`: triples, or rows (3,) or (N, 3), of which a single one stands for all."""
+    return _by_rows(a, b, True) if isinstance(a, np.ndarray) else _relative(a, b)
 
 
-def between(a: Array, b: Array) -> Array:
-    """`T_a_b` of `T_w_a` and `T_w_b`, (3,) or (N, 3) each; (3,) if both are."""
-    return _by_rows(a, b, True)
+@overload
+def inverse(a: Array) -> Array: ...
+@overload
+def inverse(a: Triple) -> Triple: ...
+def inverse(a: Any) -> Triple | Array:
+    """`T_b_a` of `T_a_b`: a triple, or rows (3,) or (N, 3)."""
+    return between(a, np.zeros(3)) if isinstance(a, np.ndarray) else _inverted(a)
 
 
-@numba.njit(cache=True, error_model="numpy")
-def inverse(pose: Array) -> Array:
-    """(3,) `T_b_a` of `T_a_b` (3,)."""
-    return np.array(inverted(triple(pose)))
+# What the three are within kernels, where poses are triples.
+numba.extending.overload(compose)(lambda a, b: lambda a, b: _composed(a, b))
+numba.extending.overload(between)(lambda a, b: lambda a, b: _relative(a, b))
+numba.extending.overload(inverse)(lambda a: lambda a: _inverted(a))
 
 
 def move_points(poses: Array, points: Array) -> Array:
@@ -98,8 +109,14 @@ def _rows(a: Array, b: Array, is_relative: bool) -> Array:
     for k in range(n):
         i, j = k if len(a) > 1 else 0, k if len(b) > 1 else 0
         first, second = triple(a[i]), triple(b[j])
-        out[k, 0], out[k, 1], out[k, 2] = relative(first, second) if is_relative else composed(first, second)
+        out[k, 0], out[k, 1], out[k, 2] = _relative(first, second) if is_relative else _composed(first, second)
     return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def conjugate(T_a_b: Triple, motion: Triple) -> Triple:
+    """The motion of a frame a to which b is fixed at `T_a_b`, by the motion of b: `T_a_b @ motion @ T_b_a`."""
+    return _composed(_composed(T_a_b, motion), _inverted(T_a_b))
 
 
 # Written out: an expression of arrays, or an array that is assigned to a part of another one, takes Numba a second or
@@ -178,8 +195,8 @@ def turned_covariance(cov: Array, angle: float) -> Array:
 
 @numba.njit(cache=True, error_model="numpy")
 def seen_covariance(T_a_b: Triple, motion: Triple, cov: Array) -> Array:
-    """(3, 3) of the motion `seen_from` a, of that of the motion of b; each in the axes before the motion."""
-    T_b_a, heading = inverted(T_a_b), T_a_b[2] + motion[2]
+    """(3, 3) of the motion of a by `conjugate`, of that of the motion of b; each in the axes before the motion."""
+    T_b_a, heading = _inverted(T_a_b), T_a_b[2] + motion[2]
     c, s = math.cos(heading), math.sin(heading)
     # What the motion's turn moves: a, as seen from b, in the axes before the motion.
     lever_x, lever_y = c * T_b_a[0] - s * T_b_a[1], s * T_b_a[0] + c * T_b_a[1]
@@ -188,11 +205,11 @@ def seen_covariance(T_a_b: Triple, motion: Triple, cov: Array) -> Array:
 
 @numba.njit(cache=True, error_model="numpy")
 def seen_motions(T_a_b: Array, motions: Array, covs: Array) -> tuple[Array, Array]:
-    """(m, 3) motions `seen_from` a, with their covariances (m, 3, 3), of those of b; `T_a_b` is a row (3,)."""
+    """(m, 3) motions of a by `conjugate`, with their covariances (m, 3, 3), of those of b; `T_a_b` is a row (3,)."""
     found, found_covs, at = np.empty_like(motions), np.empty_like(covs), triple(T_a_b)
     for k in range(len(motions)):
         motion = triple(motions[k])
-        found[k, 0], found[k, 1], found[k, 2] = seen_from(at, motion)
+        found[k, 0], found[k, 1], found[k, 2] = conjugate(at, motion)
         put(found_covs, k, seen_covariance(at, motion, covs[k]))
     return found, found_covs
 

@@ -18,7 +18,7 @@ from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increme
 from sixthsense.core.motion import draw
 from sixthsense.core.odometry_kernels import Slip, slipped
 from sixthsense.core.ray_casting import NO_LEGS, Moving, beams_of, cast_among, cast_sweep, near_walls
-from sixthsense.core.se2 import Triple, compose, composed, wrapped
+from sixthsense.core.se2 import Triple, compose, wrapped
 from sixthsense.core.source import Command, Tick
 from sixthsense.simulation.walkers import Walkers
 
@@ -113,7 +113,7 @@ def _driven_among(
     """
     speed, turn_rate, step_s = control
     for _ in range(steps):
-        ahead = composed(driven(pose, speed, turn_rate, step_s, 1), shift)
+        ahead = compose(driven(pose, speed, turn_rate, step_s, 1), shift)
         if _touches(pose[0], pose[1], ahead[0], ahead[1], walls, radius):
             return pose, True
         pose = ahead

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import inverse, product
+from sixthsense.core.se2 import inverse, product, triple
 from sixthsense.slam.scans.returns import Bearings, Returns, bearings_at, cell_of, direction
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
@@ -185,7 +185,7 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
 def add_both_ways(returns: Returns, target: int, source: int, pose: Array, loss: Loss, sums: Array) -> None:
     """As `add_one_way`, and the points of `target` on the lines of `source`, by the same pose."""
     add_one_way(returns, target, source, pose, loss, sums)
-    back, reverse = np.zeros(SUMS), inverse(pose)
+    back, reverse = np.zeros(SUMS), np.array(inverse(triple(pose)))
     add_one_way(returns, source, target, reverse, loss, back)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     # The Jacobian of the inverse pose by the pose is [[-c, -s, u], [s, -c, v], [0, 0, -1]].

@@ -21,12 +21,10 @@ from sixthsense.core.se2 import (
     Triple,
     between,
     compose,
-    composed,
     composed_covariance,
-    inverted,
-    relative,
+    conjugate,
+    inverse,
     seen_covariance,
-    seen_from,
     transformed_covariance,
     triple,
     turned_covariance,
@@ -187,7 +185,7 @@ class ScanFrontEnd:
 
     def proposal(self) -> Proposal:
         """Where the robot is at the newest keyframe, relative to the others."""
-        poses = compose(self._graph.poses, np.array(inverted(self._mount)))
+        poses = compose(self._graph.poses, np.array(inverse(self._mount)))
         sigma_m, sigma_rad = self.loop_closures.sigmas(self.newest)
         return Proposal(between(poses[-1], poses), sigma_m, sigma_rad)
 
@@ -215,11 +213,11 @@ class ScanFrontEnd:
             found = search(near, known.prior, usual, is_guess)
             tracked = max(tracked, found, key=lambda each: each.log_odds)
         at = known.starts[0] if tracked.is_lost else tracked.pose
-        self._last = LastScan(at, since, relative(triple(last.pose), triple(at)))
+        self._last = LastScan(at, since, between(triple(last.pose), triple(at)))
         if tracked.is_lost:
             return None
         graph.usual = tracked.usual
-        self.pose = Pose(*composed(triple(at), inverted(self._mount)))
+        self.pose = Pose(*compose(triple(at), inverse(self._mount)))
         return tracked
 
     def _recent(self) -> Iterator[NDArray[np.int64]]:
@@ -239,9 +237,9 @@ class ScanFrontEnd:
         if tracked is None:
             return None
         key = self._graph.poses[-1]
-        motion = relative(triple(key), triple(tracked.pose))
+        motion = between(triple(key), triple(tracked.pose))
         cov = seen_covariance(self._mount, motion, turned_covariance(tracked.cov, -key[2]))
-        return Odometry(Pose(*seen_from(self._mount, motion)), cov)
+        return Odometry(Pose(*conjugate(self._mount, motion)), cov)
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
         return Views(self._store.returns, row, targets, self._graph.poses[targets], self._graph.scale())
@@ -328,7 +326,7 @@ def refined(graph: ScanGraph, scans: list[TrackedScan], mount: Triple) -> Array:
     if not len(rows):
         return motions
     keys = np.array([scans[k].key for k in rows])
-    to_laser, back = np.array(mount), np.array(inverted(mount))
+    to_laser, back = np.array(mount), np.array(inverse(mount))
     found = compose(poses[keys], compose(compose(back, motions[rows]), to_laser))
     by_wheels = [with_wheel_errors(scans[k].odometry) for k in rows]
     covs = np.array([odometry.cov for odometry in by_wheels])

@@ -20,7 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import added, between, eigen, in_axes, inverse, put, symmetrized, transformed_covariance
+from sixthsense.core.se2 import (
+    added,
+    between,
+    eigen,
+    in_axes,
+    inverse,
+    put,
+    symmetrized,
+    transformed_covariance,
+    triple,
+)
 from sixthsense.slam.scans.alignment import (
     HITS,
     SIGMA_M,
@@ -133,7 +143,9 @@ def align_pairs(
         prior = Prior(pose.copy(), anchor, math.inf)
         align(Views(returns, source, targets[k : k + 1], origin, 1.0), prior, gate_m, True, pose, sums[k])
         views[k, 0, 0], views[k, 0, 1], views[k, 0, 2] = compare_views(returns, target, source, pose)
-        views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(returns, source, target, inverse(pose))
+        views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(
+            returns, source, target, np.array(inverse(triple(pose)))
+        )
         moved_m[k] = math.hypot(pose[0] - starts[k, 0], pose[1] - starts[k, 1])
     return Alignments(targets, sources, poses, sums, views, moved_m)
 

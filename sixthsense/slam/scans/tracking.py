@@ -27,15 +27,14 @@ from sixthsense.core.se2 import (
     added,
     between,
     compose,
-    composed,
+    conjugate,
     eigen,
     in_axes,
+    inverse,
     inverse_covariance,
-    inverted,
     product,
     put,
     seen_covariance,
-    seen_from,
     triple,
     turned_covariance,
     whitening,
@@ -130,19 +129,19 @@ def expected(key: Array, last: LastScan, mount: Triple, since: Triple, cov: Arra
     `since` is the robot's motion from there, `cov` (3, 3) its covariance by wheels in general, `factors` (3,) are on
     the sigmas of those of this run, and `mount` is `T_robot_laser`.
     """
-    back, begin, before = inverted(mount), triple(key), triple(last.pose)
+    back, begin, before = inverse(mount), triple(key), triple(last.pose)
     own = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             own[i, j] = cov[i, j] * (factors[i] * factors[j])
-    pose = np.array(composed(begin, seen_from(back, since)))
+    pose = np.array(compose(begin, conjugate(back, since)))
     information = inverse_covariance(turned_covariance(seen_covariance(back, since, own), key[2]))
     starts, moves = (
         np.empty((3, 3)),
-        (seen_from(back, composed(inverted(last.since), since)), last.motion, (0.0, 0.0, 0.0)),
+        (conjugate(back, compose(inverse(last.since), since)), last.motion, (0.0, 0.0, 0.0)),
     )
     for k in range(len(moves)):
-        starts[k, 0], starts[k, 1], starts[k, 2] = composed(before, moves[k])
+        starts[k, 0], starts[k, 1], starts[k, 2] = compose(before, moves[k])
     return Expected(Prior(pose, information, SLIP_SIGMAS), starts, seen_covariance(back, since, cov))
 
 
@@ -152,7 +151,7 @@ def informations_in_world(key_poses: Array, motions: Array, covs: Array, mount: 
 
     `motions` (m, 3) and `covs` (m, 3, 3) are those of the robot, axes before each motion, and `mount` `T_robot_laser`.
     """
-    out, back = np.empty((len(covs), 3, 3)), inverted(mount)
+    out, back = np.empty((len(covs), 3, 3)), inverse(mount)
     for k in range(len(covs)):
         cov = seen_covariance(back, triple(motions[k]), covs[k])
         put(out, k, inverse_covariance(turned_covariance(cov, key_poses[k, 2])))
