@@ -84,9 +84,7 @@ class Gicp:
             return None
         T = np.asarray(found.T_target_source)
         motion = Pose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(motion.theta)
-        cov = turn @ np.linalg.inv(H) @ turn.T * 2.0 * self._sigma_m**2
+        cov = np.linalg.inv(H) * 2.0 * self._sigma_m**2
         return Odometry(motion, 0.5 * (cov + cov.T))
 
 
@@ -221,13 +219,14 @@ class LeastSquares:
 
 
 def _between(a: Array, b: Array, motion: Array) -> tuple[Array, Array]:
-    """Jacobian (3, 6) and error (3,) of a measured motion between two poses (3,), axes of the first."""
+    """Jacobian (3, 6) and error (3,) of a measured motion between two poses (3,), axes of its end."""
     c, s = np.cos(a[2]), np.sin(a[2])
     back, step = np.array([[c, s], [-s, c]]), b[:2] - a[:2]
     J = np.zeros((3, 6))
     J[:2, :2], J[:2, 3:5], J[:2, 2] = -back, back, np.array([[-s, c], [-c, -s]]) @ step
     J[2, 2], J[2, 5] = -1.0, 1.0
-    return J, np.array([*(back @ step - motion[:2]), wrap_angle(b[2] - a[2] - motion[2])])
+    to_end = Pose(theta=-motion[2]).adjoint()
+    return to_end @ J, to_end @ np.array([*(back @ step - motion[:2]), wrap_angle(b[2] - a[2] - motion[2])])
 
 
 def tour_row(scene: str, seeds: int, label: str, **fields: Any) -> list[str]:

@@ -100,10 +100,8 @@ def errors_of(name: str) -> Errors:
 
 
 def _off(relations: Array, ends: Array) -> Array:
-    """(R, 3) errors of the motions between poses (R, 2, 3), in the frames of the first ones."""
-    off = between(relations, between(ends[:, 0], ends[:, 1]))
-    turned = compose(np.column_stack([np.zeros((len(off), 2)), relations[:, 2]]), off)
-    return np.column_stack([turned[:, :2], off[:, 2]])
+    """(R, 3) errors of the motions between poses (R, 2, 3), in the frames of the second ones."""
+    return between(relations, between(ends[:, 0], ends[:, 1]))
 
 
 def fitted(logs: Sequence[Errors]) -> Array:

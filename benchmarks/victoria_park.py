@@ -57,7 +57,7 @@ def steps_of(log: Log) -> list[Step]:
             since = since.then(Odometry(before.inverse() @ tick.odometry, tick.increment_cov))
         before = tick.odometry
         if tick.observations:
-            cov = since.cov_after() + FLOOR**2 * np.eye(3)
+            cov = since.cov + FLOOR**2 * np.eye(3)
             seen = tuple((i, *observation.bearing_range()) for i, observation in tick.observations.items())
             motion = (since.motion.x, since.motion.y, since.motion.theta)
             steps.append(Step(since, tick.observations, motion, cov, seen))

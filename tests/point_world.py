@@ -46,7 +46,7 @@ def step(x: float = 0.2, theta: float = 0.1, sigma: float = 0.02) -> Odometry:
 def noisy(odometry: Odometry, rng: np.random.Generator) -> Pose:
     """A random true motion for the measurement `odometry` with its diagonal covariance."""
     error = np.sqrt(np.diag(odometry.cov)) * rng.standard_normal(3)
-    return Pose.from_array(odometry.motion.array() + error)
+    return odometry.motion @ Pose.from_array(error)
 
 
 def rotated_covariance(theta: float, cov: Array) -> Array:

@@ -31,14 +31,14 @@ def arc_length(x: float, y: float, turn: float) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def arc_jacobian(distance: float, turn: float) -> Array:
-    """Jacobian (3, 2) of an arc's end (x, y, theta), frame of its start, by its length (m, signed) and turn (rad)."""
+    """Jacobian (3, 2) of an arc's end (x, y, theta), axes of that end, by its length (m, signed) and turn (rad)."""
     half = 0.5 * turn
     c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
     slope = -half / 3.0 if abs(half) < 1e-4 else (math.cos(half) - sinc) / half  # d sinc / d half
     return np.array(
         [
-            [sinc * c, 0.5 * distance * (slope * c - sinc * s)],
-            [sinc * s, 0.5 * distance * (slope * s + sinc * c)],
+            [sinc * c, 0.5 * distance * (slope * c + sinc * s)],
+            [-sinc * s, 0.5 * distance * (sinc * c - slope * s)],
             [0.0, 1.0],
         ]
     )

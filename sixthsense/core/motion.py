@@ -12,7 +12,7 @@ from sixthsense.config import AssumedConfig, Distribution
 from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.odometry_kernels import OdometryNoise, increment, motion_covariance, variance_divisor
-from sixthsense.core.se2 import between, composed_covariance, turned_covariance
+from sixthsense.core.se2 import between, move_covariance
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms
 
 
@@ -38,7 +38,10 @@ def variance(distribution: Distribution, scale: float) -> float:
 
 
 def compose_jacobians(heading: float, motion: Pose) -> tuple[Array, Array]:
-    """Jacobians of `pose @ motion` in (x, y, theta): (3, 3) by the pose, whose heading is given, and by the motion."""
+    """Jacobians of `pose @ motion` in (x, y, theta): (3, 3) by the pose, whose heading is given, and by the motion.
+
+    The motion's error is in the axes of the frame in which it ends.
+    """
     c, s = math.cos(heading), math.sin(heading)
     by_pose = np.array(
         [
@@ -47,7 +50,13 @@ def compose_jacobians(heading: float, motion: Pose) -> tuple[Array, Array]:
             [0.0, 0.0, 1.0],
         ]
     )
-    return by_pose, Pose(theta=heading).adjoint()
+    return by_pose, Pose(theta=heading + motion.theta).adjoint()
+
+
+def propagated(pose: Pose, cov: Array, motion: Odometry) -> Array:
+    """(3, 3) of `pose @ motion.motion` in world axes, by that of `pose`; their errors are independent."""
+    by_pose, by_motion = compose_jacobians(pose.theta, motion.motion)
+    return np.asarray(by_pose @ cov @ by_pose.T + by_motion @ motion.cov @ by_motion.T)
 
 
 _CARRIED_M = 0.25  # sigma of the position of one motion, beyond which no wheel has measured it
@@ -60,7 +69,7 @@ class Odometry:
     motion: Pose
     """`T_before_after`"""
     cov: Array
-    """(3, 3) of the error of (x, y, theta) of `motion`, axes of the frame before; m, rad"""
+    """(3, 3) of the error of (x, y, theta) of `motion`, axes of the frame after, as GTSAM has it; m, rad"""
     wheels: WheelTerms | None = None
     """its dependence on the wheels' parameters, if these are estimated; their uncertainty is not in `cov`"""
 
@@ -72,10 +81,6 @@ class Odometry:
         """Whether no wheel has measured the motion: its position is known to some decimetres only."""
         return bool(max(self.cov[0, 0], self.cov[1, 1]) > _CARRIED_M**2)
 
-    def cov_after(self) -> Array:
-        """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""
-        return np.asarray(turned_covariance(self.cov, -self.motion.theta))
-
     def then(self, later: Odometry) -> Odometry:
         """Compose two increments with independent errors: `self` first, then `later`, whose arrays may change after."""
         if later is STANDSTILL:
@@ -83,39 +88,25 @@ class Odometry:
         if self is STANDSTILL:
             return Odometry(later.motion, np.array(later.cov), later.wheels)
         first = self if later.wheels is None else self.with_wheels(later.wheels.values)
-        motion = later.motion
-        cov = composed_covariance(first.cov, later.cov, first.motion.theta, motion.x, motion.y)
-        if first.wheels is None and later.wheels is None:
-            return Odometry(first.motion @ motion, cov)
-        by_first, by_later = compose_jacobians(first.motion.theta, motion)
-        terms = _composed_terms(first.wheels, later.wheels, by_first, by_later)
-        return Odometry(first.motion @ motion, cov, terms)
+        back = later.motion.inverse()
+        cov = move_covariance(back.triple(), first.cov) + later.cov
+        terms = later.wheels
+        if first.wheels is not None:
+            jacobian = back.adjoint() @ first.wheels.jacobian
+            terms = WheelTerms(first.wheels.values, jacobian if terms is None else jacobian + terms.jacobian)
+        return Odometry(first.motion @ later.motion, cov, terms)
 
     def inverse(self) -> Odometry:
         """The motion back, with the same error, for the present parameters of the wheels."""
-        back = self.motion.inverse()
-        by_motion = -Pose(theta=back.theta).adjoint()
-        by_motion[:2, 2] = back.y, -back.x
-        return Odometry(back, by_motion @ self.cov @ by_motion.T)
+        return Odometry(self.motion.inverse(), move_covariance(self.motion.triple(), self.cov))
 
     def with_wheels(self, values: Wheels) -> Odometry:
         """The same increment for other parameters of the wheels, to first order."""
         if self.wheels is None or self.wheels.values == values:
             return self
         change = self.wheels.jacobian @ (values.array() - self.wheels.values.array())
-        motion = Pose.from_array(self.motion.array() + change)
+        motion = self.motion @ Pose.from_array(change)
         return Odometry(motion, self.cov, WheelTerms(values, self.wheels.jacobian))
-
-
-def _composed_terms(
-    first: WheelTerms | None, later: WheelTerms | None, by_first: Array, by_later: Array
-) -> WheelTerms | None:
-    """The dependence of a composed motion; both have the same parameters."""
-    if first is None:
-        return None if later is None else WheelTerms(later.values, by_later @ later.jacobian)
-    if later is None:
-        return WheelTerms(first.values, by_first @ first.jacobian)
-    return WheelTerms(later.values, by_first @ first.jacobian + by_later @ later.jacobian)
 
 
 STANDSTILL = Odometry(Pose(), np.zeros((3, 3)))
@@ -156,7 +147,7 @@ class WheelOdometry:
             if reported == STANDSTILL.motion
             else motion_covariance((motion.x, motion.y, motion.theta), OdometryNoise.of(self._assumed))
         )
-        late = self._assumed.wheels.jitter_sigma_s * change
+        late = self._assumed.wheels.jitter_sigma_s * terms.jacobian[:, 3]
         return Odometry(motion, cov + np.outer(late, late), terms)
 
 

@@ -161,57 +161,31 @@ def product(matrix: Array, vector: Array) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def transformed_covariance(cov: Array, c: float, s: float, u: float, v: float) -> Array:
-    """`J @ cov @ J.T` (3, 3) for the Jacobian J of a motion of the plane, [[c, -s, u], [s, c, v], [0, 0, 1]].
+def move_covariance(T_a_b: Triple, cov: Array) -> Array:
+    """(3, 3) of a small motion (x, y, theta) in the axes of frame a, by its covariance (3, 3) in those of frame b.
 
-    J is the adjoint of a pose with heading atan2(s, c) at (-v, u) (Sola, Deray and Atchuthan, "A micro Lie theory",
-    arXiv 1812.01537, appendix C).
+    `Ad cov Ad^T` with the adjoint Ad of `T_a_b` (Sola, Deray and Atchuthan, "A micro Lie theory", arXiv 1812.01537,
+    appendix C). The covariance of a motion is that of its error in the axes of the frame in which it ends. So:
+
+    - the motion of a frame a, to which b is fixed, has the covariance of the motion of b moved by `T_a_b`;
+    - a motion that is followed by m has its covariance moved by the inverse of m;
+    - the inverse of m has the covariance of m moved by m.
+
+    A pose without translation turns axes.
     """
+    c, s, u, v = math.cos(T_a_b[2]), math.sin(T_a_b[2]), T_a_b[1], -T_a_b[0]
     left, out = np.empty((3, 3)), np.empty((3, 3))
     for k in range(3):
         left[0, k] = c * cov[0, k] - s * cov[1, k] + u * cov[2, k]
         left[1, k] = s * cov[0, k] + c * cov[1, k] + v * cov[2, k]
         left[2, k] = cov[2, k]
-    for k in range(3):
-        out[k, 0] = c * left[k, 0] - s * left[k, 1] + u * left[k, 2]
-        out[k, 1] = s * left[k, 0] + c * left[k, 1] + v * left[k, 2]
-        out[k, 2] = left[k, 2]
+    out[0, 0] = c * left[0, 0] - s * left[0, 1] + u * left[0, 2]
+    out[1, 1] = s * left[1, 0] + c * left[1, 1] + v * left[1, 2]
+    out[2, 2] = left[2, 2]
+    out[0, 1] = out[1, 0] = s * left[0, 0] + c * left[0, 1] + v * left[0, 2]
+    out[0, 2] = out[2, 0] = left[0, 2]
+    out[1, 2] = out[2, 1] = left[1, 2]
     return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def composed_covariance(first: Array, later: Array, heading: float, x: float, y: float) -> Array:
-    """(3, 3) of a motion by (x, y) at a heading, of covariance `later`, after one of covariance `first`."""
-    c, s = math.cos(heading), math.sin(heading)
-    moved = transformed_covariance(first, 1.0, 0.0, -s * x - c * y, c * x - s * y)
-    return added(moved, transformed_covariance(later, c, s, 0.0, 0.0))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def turned_covariance(cov: Array, angle: float) -> Array:
-    """(3, 3) symmetric: a covariance in axes turned by an angle."""
-    return symmetrized(transformed_covariance(cov, math.cos(angle), math.sin(angle), 0.0, 0.0))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def seen_covariance(T_a_b: Triple, motion: Triple, cov: Array) -> Array:
-    """(3, 3) of the motion of a by `conjugate`, of that of the motion of b; each in the axes before the motion."""
-    T_b_a, heading = _inverted(T_a_b), T_a_b[2] + motion[2]
-    c, s = math.cos(heading), math.sin(heading)
-    # What the motion's turn moves: a, as seen from b, in the axes before the motion.
-    lever_x, lever_y = c * T_b_a[0] - s * T_b_a[1], s * T_b_a[0] + c * T_b_a[1]
-    return transformed_covariance(cov, math.cos(T_a_b[2]), math.sin(T_a_b[2]), -lever_y, lever_x)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def seen_motions(T_a_b: Array, motions: Array, covs: Array) -> tuple[Array, Array]:
-    """(m, 3) motions of a by `conjugate`, with their covariances (m, 3, 3), of those of b; `T_a_b` is a row (3,)."""
-    found, found_covs, at = np.empty_like(motions), np.empty_like(covs), triple(T_a_b)
-    for k in range(len(motions)):
-        motion = triple(motions[k])
-        found[k, 0], found[k, 1], found[k, 2] = conjugate(at, motion)
-        put(found_covs, k, seen_covariance(at, motion, covs[k]))
-    return found, found_covs
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -37,7 +37,7 @@ class Closure:
     motion: Pose
     """of this tick's pose in the frame of that one"""
     cov: Array
-    """(3, 3) of its error, axes of the frame before"""
+    """(3, 3) of its error, axes of this tick's pose"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +53,8 @@ class Tick:
     observations: Mapping[LandmarkId, Observation] | None = None
     """Observations of landmarks that the log identifies; empty if none was in view, None without an observation."""
     increment_cov: Array | None = None
-    """(3, 3) of the motion since the last tick, frame before, if the log states it; else it follows from the assumed
-    noise."""
+    """(3, 3) of the motion since the last tick, axes of this tick's pose, if the log states it; else it follows from
+    the assumed noise."""
     truth: Pose | None = None
     """`T_world_robot`, for the record only."""
     collided: bool = False

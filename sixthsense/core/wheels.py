@@ -56,7 +56,7 @@ class WheelTerms:
     values: Wheels
     """the parameters that the motion was computed with"""
     jacobian: Array
-    """(3, 5) of (x, y, theta) of the motion by the parameters, axes of the frame before; m, rad"""
+    """(3, 5) of (x, y, theta) of the motion by the parameters, axes of the frame after; m, rad"""
 
 
 _SCALE_SIGMA = 0.05
@@ -126,4 +126,5 @@ def corrected_with_terms(motion: Pose, wheels: Wheels, velocity_change: Array) -
     jacobian[2, 1:3] = motion.theta, stretch * reported
     jacobian[:2] += 0.5 * stretch * np.outer((-y, x), jacobian[2])
     jacobian[:, 3] = velocity_change
-    return Pose(stretch * x, stretch * y, motion.theta + bend), WheelTerms(wheels, jacobian)
+    found = Pose(stretch * x, stretch * y, motion.theta + bend)
+    return found, WheelTerms(wheels, Pose(theta=-found.theta).adjoint() @ jacobian)

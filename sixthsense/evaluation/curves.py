@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.se2 import between, composed_covariance, triple
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.motion import Odometry, propagated
 from sixthsense.core.source import seconds
 from sixthsense.evaluation import metrics
 from sixthsense.record.trace import Trace
@@ -68,8 +68,8 @@ def scan_covariances(trace: Trace) -> Array:
     for cov, k, pose, since in zip(found, trace.last_key, trace.estimates, trace.since_covs, strict=True):
         if k >= 0:
             key = trace.key_estimates[k]
-            x, y, _ = between(key.pose.triple(), triple(pose))
-            cov[:] = composed_covariance(key.pose_cov, since, key.pose.theta, x, y)
+            motion = key.pose.inverse() @ Pose.from_array(pose)
+            cov[:] = propagated(key.pose, key.pose_cov, Odometry(motion, since))
     return found
 
 

@@ -15,11 +15,12 @@ from scipy.optimize import minimize
 from sixthsense.config import AssumedConfig, Config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import chi_square_quantile
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import predictions
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, odometry
+from sixthsense.core.se2 import between
 from sixthsense.evaluation.effective import whitened_errors
 from sixthsense.evaluation.metrics import nees_world, squares
 from sixthsense.slam.features import extract
@@ -99,7 +100,7 @@ class PropagationErrors:
     """Errors of odometry increments against the true motion (report eq. 1)."""
 
     errors: Array
-    """(N, 3) true motion minus odometry, in the frame before, metres and radians"""
+    """(N, 3) true motion seen from that by odometry, metres and radians"""
     covs: Array
     """(N, 3, 3) covariances of the odometry"""
 
@@ -128,13 +129,7 @@ def _composed(samples: Sequence[Sample], assumed: AssumedConfig) -> tuple[Array,
 def propagation_errors(samples: Sequence[Sample], assumed: AssumedConfig) -> PropagationErrors:
     """Errors of odometry against the true motion of each sample (report eq. 1)."""
     motions, covs = _composed(samples, assumed)
-    return PropagationErrors(_difference(np.array([s.motion.array() for s in samples]), motions), covs)
-
-
-def _difference(a: Array, b: Array) -> Array:
-    gap = a - b
-    gap[:, 2] = wrap_angle(gap[:, 2])
-    return gap
+    return PropagationErrors(between(motions, np.array([s.motion.array() for s in samples])), covs)
 
 
 def fit_motion(
@@ -156,7 +151,7 @@ def fit_motion(
     basis = np.array(parts)  # (6, N, 3, 3)
     step = 1e-3
     perturbed = [_composed(samples, merge(noiseless, {name: step}))[0] for name in _SYSTEMATIC]
-    jacobian = np.stack([_difference(n, motions) / step for n in perturbed], axis=2)  # (N, 3, 2)
+    jacobian = np.stack([between(motions, n) / step for n in perturbed], axis=2)  # (N, 3, 2)
     errors = propagation_errors(samples, noiseless).errors
 
     kept = [0, 1]

@@ -13,8 +13,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import compose_jacobians
-from sixthsense.core.se2 import turned_covariance
+from sixthsense.core.motion import Odometry, propagated
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Writer
 from sixthsense.live.reading import TWIST, TWIST_STAMPED
@@ -67,9 +66,8 @@ def pose_covariance(trace: Trace) -> Array:
     if not trace.key_estimates:
         return np.zeros((3, 3))
     key, since = trace.key_estimates[-1], Pose.from_array(trace.since_key[-1])
-    by_pose, _ = compose_jacobians(key.pose.theta, since)
     since_cov = np.zeros((3, 3)) if trace.live is None else trace.live.since_cov
-    return by_pose @ key.pose_cov @ by_pose.T + turned_covariance(since_cov, key.pose.theta)
+    return propagated(key.pose, key.pose_cov, Odometry(since, since_cov))
 
 
 class Stamped(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import sweep_ns
-from sixthsense.core.se2 import turned_covariance
+from sixthsense.core.se2 import move_covariance
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, OdometryReset, Publishers, ScanJoiner, SilenceDetector
@@ -78,7 +78,7 @@ class Search:
 def placed(tick: Tick, T: Pose, cov: Array = _CARRIED_COV) -> Tick:
     """The tick with its odometry moved by `T` to another place; no wheel has measured the way there.
 
-    `cov` (3, 3) is of the place, axes of the robot at the tick before. The scan is left out: the next one is not
+    `cov` (3, 3) is of the place, axes of the robot there. The scan is left out: the next one is not
     distorted by the step.
     """
     raised = cov + np.diag(np.maximum(np.diag(_CARRIED_COV) - np.diag(cov), 0.0))
@@ -256,8 +256,7 @@ class LiveRobot:
             if self._has_no_odometry:
                 self._say("pose refused", "a pose is left out: without odometry the first scan alone can have one")
                 return
-            heading = (T_odom_map.inverse() @ self._last.odometry).theta
-            self._place_cov = np.asarray(turned_covariance(asked.cov, -heading))
+            self._place_cov = np.asarray(move_covariance((0.0, 0.0, -asked.T_map_robot.theta), asked.cov))
         self.joiner.place(T_odom_map @ asked.T_map_robot @ pose.inverse(), newest_ns)
         self._search, self._newest = None, None
         x, y, theta = asked.T_map_robot.array()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
+from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Closure, Tick
 from sixthsense.logs.log import Log
 from sixthsense.logs.text_lines import Record, records, shown
@@ -139,13 +140,7 @@ def _read_motion(graph: _Graph, record: Record) -> None:
     if after in graph.ticks or before != next(reversed(graph.ticks)):
         graph.others.append(_Edge(record, before, after, step, cov))
         return
-    graph.add(after, graph.ticks[before].odometry @ step, _in_axes_before(step, cov))
-
-
-def _in_axes_before(step: Pose, cov: Array) -> Array:
-    """The covariance of a motion from pose i to j, whose error has the axes of j, in those of i."""
-    R_i_j = Pose(theta=step.theta).adjoint()
-    return _symmetric(R_i_j @ cov @ R_i_j.T)
+    graph.add(after, graph.ticks[before].odometry @ step, cov)
 
 
 def _add_closures(graph: _Graph) -> None:
@@ -159,11 +154,10 @@ def _add_closures(graph: _Graph) -> None:
         if before == after:
             record.fail(f"found an edge from pose {before} to itself, allowed: two poses")
         if order[before] < order[after]:
-            found.setdefault(after, []).append(Closure(order[before], step, _in_axes_before(step, cov)))
-        else:  # the error of j seen from i turns and moves i seen from j
-            back = step.inverse()
-            J = np.array([[-1.0, 0.0, back.y], [0.0, -1.0, -back.x], [0.0, 0.0, -1.0]])
-            found.setdefault(before, []).append(Closure(order[after], back, _symmetric(J @ cov @ J.T)))
+            found.setdefault(after, []).append(Closure(order[before], step, cov))
+        else:
+            back = Odometry(step, cov).inverse()
+            found.setdefault(before, []).append(Closure(order[after], back.motion, back.cov))
     for pose, tick in graph.ticks.items() if found else ():
         graph.ticks[pose] = replace(tick, closures=tuple(found.get(pose, ())))
 

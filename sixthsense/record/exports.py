@@ -216,7 +216,7 @@ def _columns(rows: list[tuple[int, int, Observation]]) -> tuple[NDArray[np.int64
 
 
 def _regularized_cov(odometry: Odometry) -> Array:
-    return odometry.cov_after() + _MIN_SIGMA**2 * np.eye(3)
+    return odometry.cov + _MIN_SIGMA**2 * np.eye(3)
 
 
 def write_graph(folder: Path, graph: FactorGraph, links: PoseLinks = NO_LINKS) -> None:

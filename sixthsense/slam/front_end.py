@@ -89,7 +89,7 @@ class PoseLinks(NamedTuple):
     motions: Array
     """(m, 3) pose of the second keyframe in the frame of the first, robot's frames"""
     covs: Array
-    """(m, 3, 3) of their errors, axes of the first frame"""
+    """(m, 3, 3) of their errors, axes of the second frame"""
 
 
 class Finished(NamedTuple):

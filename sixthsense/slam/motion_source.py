@@ -20,8 +20,8 @@ import numpy as np
 from sixthsense.config import AssumedConfig, Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import NEEDS_FILTER
-from sixthsense.core.geometry import Pose, rotation, wrap_angle
-from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
+from sixthsense.core.geometry import Pose, rotation
+from sixthsense.core.motion import Odometry, WheelOdometry, odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels, wheel_prior
@@ -196,7 +196,7 @@ class LastVelocity:
         x, y, turn = (way_s * self._velocity).tolist()
         chord = rotation(0.5 * turn) @ np.array([x, y])
         motion = Pose(chord[0], chord[1], turn)
-        by_since, by_motion = compose_jacobians(since.theta, motion)
+        by_since, by_motion = motion.inverse().adjoint(), Pose(theta=-turn).adjoint()
         # Moments of the integral of the process and of the process, Singer 1970.
         of_way = _SIGMAS**2 * _TAUS_S**2 * (2 * ratio - 3 + 4 * kept - kept**2)
         of_both, of_velocity = _SIGMAS**2 * _TAUS_S * (1.0 - kept) ** 2, _SIGMAS**2 * (1.0 - kept**2)
@@ -205,7 +205,7 @@ class LastVelocity:
         mixed = by_since @ self._cross @ by_velocity.T
         added = mixed + mixed.T + by_velocity @ self._cov @ by_velocity.T
         added += by_motion @ np.diag(np.maximum(of_way, 0.0)) @ by_motion.T
-        values, axes = np.linalg.eigh(by_motion.T @ added @ by_motion)
+        values, axes = np.linalg.eigh(added)
         self._cross = (by_since @ self._cross + by_velocity @ self._cov) * kept + by_motion * of_both
         self._cov = self._cov * np.outer(kept, kept) + np.diag(of_velocity)
         self._velocity = kept * self._velocity
@@ -214,8 +214,7 @@ class LastVelocity:
     def measured(self, guessed: Odometry, found: Odometry) -> None:
         """Take in the motion since the last keyframe as guessed, and as scan matching has corrected it."""
         gain = np.linalg.solve(guessed.cov, self._cross)  # (3, 3) of the smoother: velocity by motion
-        off = found.motion.array() - guessed.motion.array()
-        off[2] = wrap_angle(off[2])
+        off = (guessed.motion.inverse() @ found.motion).array()
         self._velocity = self._velocity + gain.T @ off
         self._cov = self._cov - gain.T @ (guessed.cov - found.cov) @ gain
         self._cov = 0.5 * (self._cov + self._cov.T)

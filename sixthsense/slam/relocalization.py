@@ -17,7 +17,7 @@ from sixthsense.config import Config, GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.se2 import between, transformed_covariance
+from sixthsense.core.se2 import between, move_covariance
 from sixthsense.slam.mapping.submap import Submap
 from sixthsense.slam.prior_map import PriorMap
 from sixthsense.slam.scans.alignment import Prior, Views
@@ -112,9 +112,8 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     if max(cov[0, 0], cov[1, 1]) <= _KNOWN_M**2 and cov[2, 2] <= _KNOWN_RAD**2:
         _check_share(_share(views, key, laser.array()), prior)
         return pose
-    c, s = math.cos(pose.theta), math.sin(pose.theta)
-    x, y = scan.T_robot_laser.position
-    cov_laser = transformed_covariance(cov, 1.0, 0.0, -s * x - c * y, c * x - s * y)
+    offset = (laser.position - pose.position).tolist()
+    cov_laser = move_covariance((-offset[0], -offset[1], 0.0), cov)
     floor = np.diag([_KNOWN_M, _KNOWN_M, _KNOWN_RAD]) ** 2 * 1e-2
     given = Prior(laser.array(), np.asarray(np.linalg.inv(cov_laser + floor), dtype=np.float64))
     places = _places(views, key, given, cov_laser)

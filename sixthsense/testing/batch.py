@@ -17,6 +17,7 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.se2 import between, compose, move_covariance
 from sixthsense.core.wheels import PARAMETERS, Wheels
 
 Log = Sequence[tuple[Odometry, Mapping[LandmarkId, Observation]]]
@@ -95,14 +96,14 @@ def batch_posterior(
 
     `start_cov` (3, 3) and the covariances of odometry must be invertible. With a prior of `wheels` their parameters are
     estimated, too. At an entry of the log with one of the `restarts` the robot is put there, `T_world_robot` with its
-    covariance in world axes, before the motion of the entry: another run with the same landmarks.
+    covariance as `placed`, before the motion of the entry: another run with the same landmarks.
     """
     restarts = restarts or {}
     poses, landmarks, walls = _initial(log, start, restarts)
     of_wheels = [] if wheels is None else [wheels.values.array()]
     x = np.concatenate([*poses, *landmarks.values(), *of_wheels])
     of_landmarks = {i: 3 * len(poses) + 2 * k + np.arange(2) for k, i in enumerate(landmarks)}
-    factors = _factors(log, Odometry(start, start_cov), of_landmarks, wheels, restarts)
+    factors = _factors(log, placed(start, start_cov), of_landmarks, wheels, restarts)
     for _ in range(_ITERATIONS):
         information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         for factor in factors:
@@ -119,6 +120,11 @@ def batch_posterior(
     angles = np.array([*flags, *[False] * (PARAMETERS * len(of_wheels))])
     cov = np.linalg.inv(information)[np.ix_(kept, kept)]
     return Posterior(list(landmarks), x[kept], 0.5 * (cov + cov.T), angles)
+
+
+def placed(pose: Pose, cov: Array) -> Odometry:
+    """A pose as a motion from the world's origin, by its covariance (3, 3) in world axes."""
+    return Odometry(pose, move_covariance((0.0, 0.0, -pose.theta), cov))
 
 
 def _initial(
@@ -164,19 +170,17 @@ def _factors(
 
 def _start(at: Places, start: Odometry) -> _Factor:
     """The prior of a pose."""
-    return _Factor(at, lambda x: _pose_difference(x, start.motion.array()), _inverse(start.cov))
+    return _Factor(at, lambda x: between(start.motion.array(), x), _inverse(start.cov))
 
 
 def _motion_residual(odometry: Odometry) -> Residual:
     """Of two poses, and the wheels' parameters if they are variables."""
 
     def residual(x: Array) -> Array:
-        c, s = math.cos(x[2]), math.sin(x[2])
-        moved = np.append(np.array([[c, s], [-s, c]]) @ (x[3:5] - x[:2]), x[5] - x[2])
         measured = odometry.motion.array()
         if len(x) > 6 and odometry.wheels is not None:
-            measured = measured + odometry.wheels.jacobian @ (x[6:] - odometry.wheels.values.array())
-        return _pose_difference(moved, measured)
+            measured = compose(measured, odometry.wheels.jacobian @ (x[6:] - odometry.wheels.values.array()))
+        return between(measured, between(x[:3], x[3:6]))
 
     return residual
 
@@ -190,10 +194,6 @@ def _observation_residual(observation: Observation) -> Residual:
 
 def _inverse(cov: Array) -> Array:
     return np.asarray(np.linalg.inv(cov), dtype=np.float64)
-
-
-def _pose_difference(one: Array, two: Array) -> Array:
-    return np.append(one[:2] - two[:2], wrap_angle(float(one[2] - two[2])))
 
 
 def _difference(one: Array, two: Array, is_wall: bool) -> Array:

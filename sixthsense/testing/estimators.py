@@ -305,7 +305,7 @@ def the_estimate_converges_to_the_truth_as_the_noise_goes_to_zero(part: Part, si
     rng, cov = np.random.default_rng(1), np.diag([sigma, sigma, 0.5 * sigma]) ** 2
     estimator, true = make(part, START, _EXACT), START
     for _ in range(40):
-        true = true @ Pose.from_array(MOTION.motion.array() + np.sqrt(np.diag(cov)) * rng.standard_normal(3))
+        true = true @ MOTION.motion @ Pose.from_array(np.sqrt(np.diag(cov)) * rng.standard_normal(3))
         estimator.predict(Odometry(MOTION.motion, cov))
         z = [to_robot(true.array(), point, False) + sigma * rng.standard_normal(2) for point in POINTS.landmarks]
         estimator.update({i: POINTS.observation(i, z[i], sigma**2 * np.eye(2)) for i in range(3)})

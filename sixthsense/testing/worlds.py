@@ -106,7 +106,7 @@ def drive(world: World, steps: int) -> tuple[Log, Pose, Posterior]:
     count, log = len(world.kinds), []
     for k in range(steps):
         error = np.linalg.cholesky(MOTION.cov) @ rng.standard_normal(3)
-        true = true @ Pose.from_array(MOTION.motion.array() + error)
+        true = true @ MOTION.motion @ Pose.from_array(error)
         ids = range(count - 1) if k < 2 else range(count) if k % 3 else [k % count, (k + 1) % count]
         log.append((MOTION, world.sight(true, list(ids), rng)))
     return log, true, batch_posterior(log, START, START_COV)

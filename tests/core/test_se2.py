@@ -12,13 +12,11 @@ from sixthsense.core.se2 import (
     Triple,
     between,
     compose,
-    conjugate,
     eigen,
     inverse,
     inverse_covariance,
     largest_variance,
     move_points,
-    seen_covariance,
     whitening,
     whitenings,
     wrapped,
@@ -161,18 +159,3 @@ def test_the_largest_variance_of_a_position_is_the_largest_eigenvalue_in_its_dir
         variance, c, s = largest_variance(cov)
         assert variance == pytest.approx(values[1], rel=1e-12)
         assert abs(axes[:, 1] @ [c, s]) == pytest.approx(1.0, abs=1e-9)
-
-
-def test_a_motion_seen_from_a_frame_that_is_fixed_to_the_other_is_that_of_matrices_with_its_covariance() -> None:
-    mount, motion = random_triple(), random_triple()
-    there = matrix(mount) @ matrix(motion) @ np.linalg.inv(matrix(mount))
-    assert np.allclose(matrix(conjugate(mount, motion)), there, atol=1e-11)
-
-    def seen(values: np.ndarray) -> np.ndarray:
-        return np.array(conjugate(mount, tuple(values)))
-
-    step = 1e-6
-    jacobian = np.column_stack(
-        [(seen(np.add(motion, d)) - seen(np.subtract(motion, d))) / (2 * step) for d in step * np.eye(3)]
-    )
-    assert np.allclose(seen_covariance(mount, motion, MILD), jacobian @ MILD @ jacobian.T, rtol=1e-6)

@@ -21,7 +21,7 @@ def landmark_nees(name, seed, steps=6):
     estimator = make(name, START, START_COV)
     for _ in range(steps):
         error = np.linalg.cholesky(MOTION.cov) @ rng.standard_normal(3)
-        true = true @ Pose.from_array(MOTION.motion.array() + error)
+        true = true @ MOTION.motion @ Pose.from_array(error)
         estimator.predict(MOTION)
         estimator.update(BOTH.sight(true, range(len(BOTH.kinds)), rng))
     estimate, joint = joint_state(estimator)

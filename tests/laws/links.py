@@ -24,7 +24,7 @@ def _seen(before: int, after: int, offset: Array, cov: Array) -> Link:
     motion = Pose()
     for _ in range(after - before):
         motion = motion @ _MOTION.motion
-    return Link(before, after, Odometry(Pose.from_array(motion.array() + offset), cov))
+    return Link(before, after, Odometry(motion @ Pose.from_array(offset), cov))
 
 
 _LINKS = [
@@ -181,8 +181,7 @@ def _least_squares(poses: int, links: list[Link]) -> Array:
         out = [(rows[0] - start) / 1e-3]
         for term in terms:
             seen = Pose.from_array(rows[term.before]).inverse() @ Pose.from_array(rows[term.after])
-            off = seen.array() - term.relative.motion.array()
-            off[2] = wrap_angle(float(off[2]))
+            off = (term.relative.motion.inverse() @ seen).array()
             out.append(np.linalg.solve(np.linalg.cholesky(term.relative.cov), off))
         return np.concatenate(out)
 

@@ -238,7 +238,7 @@ def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(nam
     estimator = WHEELS.start(name, prior, worlds.START, worlds.START_COV)
     for k in range(8):
         error = np.linalg.cholesky(worlds.MOTION.cov) @ rng.standard_normal(3)
-        at = at @ Pose.from_array(increment(k, true, worlds.MOTION.cov).motion.array() + error)
+        at = at @ increment(k, true, worlds.MOTION.cov).motion @ Pose.from_array(error)
         ids = range(len(world.kinds)) if k % 3 != 1 else [k % 2, 2]
         log.append((increment(k, prior.values, worlds.MOTION.cov), world.sight(at, list(ids), rng)))
         estimator.predict(log[-1][0])

@@ -11,7 +11,7 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
 from sixthsense.testing import worlds
-from sixthsense.testing.batch import Posterior, batch_posterior
+from sixthsense.testing.batch import Posterior, batch_posterior, placed
 from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
@@ -92,10 +92,10 @@ def two_runs_are_one_long_run_in_which_the_robot_is_put_elsewhere(name: str, wor
     again: Log = []
     for _ in range(6):
         error = np.linalg.cholesky(worlds.MOTION.cov) @ rng.standard_normal(3)
-        true = true @ Pose.from_array(worlds.MOTION.motion.array() + error)
+        true = true @ worlds.MOTION.motion @ Pose.from_array(error)
         again.append((worlds.MOTION, world.sight(true, range(len(world.kinds)), rng)))
     fed(second, again)
-    start = Odometry(worlds.START, worlds.START_COV)
+    start = placed(worlds.START, worlds.START_COV)
     both = batch_posterior([*log, *again], worlds.START, worlds.START_COV, restarts={len(log): start})
     worlds.assert_agrees(second, both)
 

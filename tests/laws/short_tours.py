@@ -144,13 +144,13 @@ def statistics(run: Keyframes) -> dict[str, float]:
 
 
 def increment_nees(run: Keyframes) -> Array:
-    """(K - 1,) NEES of the motion from each update to the next prediction, in the frame of its beginning."""
+    """(K - 1,) NEES of the motion from each update to the next prediction, in the frame of its end."""
     error, cov = np.empty((len(run.poses) - 1, 3)), np.empty((len(run.poses) - 1, 3, 3))
     for k in range(len(error)):
         pose = Pose.from_array(run.poses[k])
         motion = pose.inverse() @ Pose.from_array(run.predicted[k + 1])
         truly = Pose.from_array(run.truths[k]).inverse() @ Pose.from_array(run.truths[k + 1])
-        error[k] = motion.array() - truly.array()
+        error[k] = (truly.inverse() @ motion).array()
         by_pose, by_motion = compose_jacobians(pose.theta, motion)
         added = run.predicted_covs[k + 1] - by_pose @ run.covs[k] @ by_pose.T
         cov[k] = by_motion.T @ added @ by_motion  # a rotation: its inverse is its transpose

@@ -8,7 +8,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import Odometry
+from sixthsense.core.motion import propagated
 from sixthsense.core.source import Command, Tick
 from sixthsense.simulation.scene import load_scene
 from sixthsense.simulation.world import World
@@ -71,8 +71,8 @@ def test_a_slip_is_part_of_the_motion_that_is_recorded() -> None:
             if keyframe is None:
                 continue
             if before is not None:
-                moved = Odometry(before.estimate.pose, before.estimate.pose_cov).then(keyframe.motion)
-                assert np.allclose(keyframe.predicted.pose_cov, moved.cov, rtol=1e-6, atol=1e-12)
+                moved = propagated(before.estimate.pose, before.estimate.pose_cov, keyframe.motion)
+                assert np.allclose(keyframe.predicted.pose_cov, moved, rtol=1e-6, atol=1e-12)
                 wide += keyframe.association.slip is not None
             before = keyframe
     assert wide > 0

@@ -152,7 +152,7 @@ class Link:
     after: int
     """index of the update whose pose it ends at"""
     relative: Odometry
-    """the motion with its covariance, axes of the frame before"""
+    """the motion with its covariance"""
     loss_scale: float = math.inf
     """scale of the Cauchy loss, in whitened error; inf: squares"""
 

@@ -18,7 +18,7 @@ from sixthsense.core.landmark_kernels import innovations_of, stacked, translatio
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
-from sixthsense.core.se2 import turned_covariance
+from sixthsense.core.se2 import move_covariance
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
 from sixthsense.slam.estimators.ekf_algebra import (
     Parameters,
@@ -201,13 +201,13 @@ class EKF:
             return
         wheels = self._parameters.wheels
         pending = self._pending if wheels is None else self._pending.with_wheels(wheels)
-        theta, pose = self._pose.theta, self._pose @ pending.motion
+        pose = self._pose @ pending.motion
         lever = self._heading_lever(pose.position - self._pose.position)
         by_head = np.eye(self._head)
         by_head[0, 2], by_head[1, 2] = -lever[1], lever[0]
         if wheels is not None and pending.wheels is not None:
-            by_head[:3, self._parameters.of_wheels] = Pose(theta=theta).adjoint() @ pending.wheels.jacobian
-        propagate(self._cov.T, by_head, turned_covariance(pending.cov, theta))
+            by_head[:3, self._parameters.of_wheels] = Pose(theta=pose.theta).adjoint() @ pending.wheels.jacobian
+        propagate(self._cov.T, by_head, move_covariance((0.0, 0.0, pose.theta), pending.cov))
         self._pose = pose
         self._pending = STANDSTILL
 

@@ -18,6 +18,7 @@ from sixthsense.core.landmark_kernels import innovations_of, seen_from_each
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
+from sixthsense.core.se2 import move_covariance
 from sixthsense.slam.estimators.base import (
     Estimate,
     LandmarkPrior,
@@ -220,7 +221,9 @@ class ISAM2:
         self._unsolved.poses.append(guess)
         self._unsolved.values.insert(key, to_pose2(guess))
         if self._poses == 0:
-            start = Odometry(self._solution.pose, self._solution.cov()[:3, :3]).then(self._pending)
+            pose = self._solution.pose
+            cov = move_covariance((0.0, 0.0, -pose.theta), self._solution.cov()[:3, :3])
+            start = Odometry(pose, cov).then(self._pending)
             self._unsolved.graph.add(start_factor(key, start, self._solution.wheels is not None))
         else:
             self._unsolved.motions[self._poses] = self._step, self._unsolved.graph.size()

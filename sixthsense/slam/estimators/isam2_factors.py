@@ -26,7 +26,7 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
-from sixthsense.core.se2 import put, turned_covariance, whitening
+from sixthsense.core.se2 import put, whitening
 from sixthsense.core.sensor import Sensor
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
@@ -47,17 +47,17 @@ def to_pose2(pose: Pose) -> gtsam.Pose2:
 
 
 def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
-    """The noise of a motion, in the axes of the frame after, as GTSAM has it."""
-    root = _roots(motion.cov[None], np.array([motion.motion.theta]))[0]
+    """The noise of a motion, with a floor."""
+    root = _roots(motion.cov[None])[0]
     return gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _roots(covs: Array, turns: Array) -> Array:
-    """(m, 3, 3) roots of the informations of motions that turn by (m,), axes after; `covs` (m, 3, 3) axes before."""
+def _roots(covs: Array) -> Array:
+    """(m, 3, 3) roots of the informations of motions with covariances (m, 3, 3), and a floor."""
     out = np.empty((len(covs), 3, 3))
     for k in range(len(covs)):
-        cov = turned_covariance(covs[k], -turns[k])
+        cov = covs[k].copy()
         for i in range(3):
             cov[i, i] += _FLOOR**2
         put(out, k, whitening(cov))
@@ -94,9 +94,8 @@ def with_loss(noise: gtsam.noiseModel.Gaussian, loss: Loss | None) -> gtsam.nois
 
 def link_factors(links: Sequence[Link]) -> list[gtsam.NonlinearFactor]:
     """The factors of links between the poses of their updates."""
-    turns = np.array([link.relative.motion.theta for link in links])
     factors: list[gtsam.NonlinearFactor] = []
-    for link, root in zip(links, _roots(np.array([link.relative.cov for link in links]), turns), strict=True):
+    for link, root in zip(links, _roots(np.array([link.relative.cov for link in links])), strict=True):
         noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
         if math.isfinite(link.loss_scale):
             noise = gtsam.noiseModel.Robust.Create(_cauchy(link.loss_scale), noise)
@@ -229,7 +228,8 @@ class _MotionResidual:
     def __init__(self, poses: tuple[int, ...], motion: Odometry) -> None:
         """Between the poses with these keys; `motion` depends on the wheels."""
         assert motion.wheels is not None
-        self._poses, self._jacobian = poses, motion.wheels.jacobian
+        self._poses = poses
+        self._jacobian = Pose(theta=motion.motion.theta).adjoint() @ motion.wheels.jacobian  # axes before the motion
         self._motion_at_zero = motion.motion.array() - self._jacobian @ motion.wheels.values.array()
 
     def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:

@@ -6,7 +6,6 @@ they are asked for: reading takes longer than most updates.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, propagated
 from sixthsense.core.parameters import P, ParameterEstimate
-from sixthsense.core.se2 import between, compose, composed_covariance, turned_covariance
+from sixthsense.core.se2 import between, compose, move_covariance
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators.base import check_parameters
@@ -264,7 +263,7 @@ class Solution:
         if not self._has_cov:
             self._cov, self._has_cov = self._solver.covariance(self.keys), True
             if self.wheels is None:
-                self._cov = turned_covariance(self._cov, self.pose.theta)
+                self._cov = move_covariance((0.0, 0.0, self.pose.theta), self._cov)
             else:
                 to_world = self.to_world()
                 cov = to_world @ self._cov @ to_world.T
@@ -289,8 +288,7 @@ class Solution:
         if len(joint) == 3 and pending is STANDSTILL:
             return joint.copy()
         if len(joint) == 3:
-            to = pending.motion
-            moved = composed_covariance(joint, pending.cov, self.pose.theta, to.x, to.y)
+            moved = propagated(self.pose, joint, pending)
             return np.asarray(0.5 * (moved + moved.T))
         n = len(self._cov)
         kept = np.concatenate([np.arange(3), np.arange(n, len(joint))])
@@ -325,11 +323,7 @@ class Solution:
         if first != second:
             joint = self._solver.covariance([X(first), X(second)])
             motion = Pose(*between(*self.poses_at([first, second])))
-            c, s = math.cos(motion.theta), math.sin(motion.theta)
-            # Each pose errs in its own axes; an error of the first one's heading turns the second one about it.
-            by_poses = np.array([
-                [-1.0, 0.0, motion.y, c, -s, 0.0], [0.0, -1.0, -motion.x, s, c, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0],
-            ])  # fmt: skip
+            by_poses = np.hstack([-motion.inverse().adjoint(), np.eye(3)])  # each pose errs in its own axes
             cov = by_poses @ joint @ by_poses.T
         return to_first.inverse().then(Odometry(motion, 0.5 * (cov + cov.T))).then(to_second)
 

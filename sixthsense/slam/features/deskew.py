@@ -59,7 +59,7 @@ class Deskewer:
         kept, closed = _without_overlap(scan.bearings + poses[:, 2], scan) if scan.closed else (slice(None), False)
         ranges, lags = ranges[kept], times_s[kept] / stamps_s[0] if len(stamps_s) > 1 else 0.0 * times_s[kept]
         ranges.flags.writeable = False
-        sweep = Sweep(bearings[kept], closed, whole.cov_after(), lags)
+        sweep = Sweep(bearings[kept], closed, whole.cov, lags)
         return dataclasses.replace(scan, ranges=ranges, time_increment=np.float32(0.0), sweep=sweep)
 
     def _track(self, begin_s: float) -> tuple[Array, Array, Odometry]:

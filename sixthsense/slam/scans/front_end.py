@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -16,18 +15,15 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.parts import KEEP_POSES, STATES_RELATIVE
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.motion import STANDSTILL, Odometry, propagated
 from sixthsense.core.se2 import (
     Triple,
     between,
     compose,
-    composed_covariance,
     conjugate,
     inverse,
-    seen_covariance,
-    transformed_covariance,
+    move_covariance,
     triple,
-    turned_covariance,
 )
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
@@ -148,8 +144,7 @@ class ScanFrontEnd:
         motion = self._sources.present.at_end(self._since)
         key = self._reported(self._estimator.estimate())
         self._estimator.predict(motion)
-        to = motion.motion
-        cov = composed_covariance(key.pose_cov, motion.cov, key.pose.theta, to.x, to.y)
+        cov = propagated(key.pose, key.pose_cov, motion)
         estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=cov)
         since_key = None
         if self._has_final_pass:
@@ -157,7 +152,7 @@ class ScanFrontEnd:
         return Finished(estimate, since_key, self._graph.robot_links(list(self._graph.links.values())))
 
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
-        """(m, 3, 3) covariance of each second keyframe in the frame of the first, by the graph's variance factor.
+        """(m, 3, 3) covariance of the motion from each first keyframe to the second, by the graph's variance factor.
 
         With the private errors of their scans, which links do not have. `pairs` (m, 2) are of keyframes; InputError for
         an estimator that cannot say it.
@@ -165,17 +160,14 @@ class ScanFrontEnd:
         if not isinstance(self._estimator, StatesRelative):
             raise InputError("estimator", f"found {self._config.estimator}", STATES_RELATIVE)
         found = self._graph.variance_factor() * self._estimator.relative_covariances(pairs)
-        returns, sigma_m, (mx, my, turn) = self._store.returns, self._config.assumed.laser.range_m, self._mount
+        returns, sigma_m = self._store.returns, self._config.assumed.laser.range_m
         own = {
-            key: transformed_covariance(
-                private_covariance(returns, key, sigma_m), math.cos(turn), math.sin(turn), my, -mx
-            )
+            key: move_covariance(self._mount, private_covariance(returns, key, sigma_m))
             for key in np.unique(pairs).tolist()
         }
         first, second = (np.array(self._estimator.poses_at(keys.tolist())).reshape(-1, 3) for keys in pairs.T)
-        for cov, (a, b), (x, y, heading) in zip(found, pairs.tolist(), between(first, second).tolist(), strict=True):
-            cov += transformed_covariance(own[a], 1.0, 0.0, -y, x)
-            cov += turned_covariance(own[b], heading)
+        for cov, (a, b), back in zip(found, pairs.tolist(), between(second, first), strict=True):
+            cov += move_covariance(triple(back), own[a]) + own[b]
         return found
 
     @property
@@ -238,7 +230,7 @@ class ScanFrontEnd:
             return None
         key = self._graph.poses[-1]
         motion = between(triple(key), triple(tracked.pose))
-        cov = seen_covariance(self._mount, motion, turned_covariance(tracked.cov, -key[2]))
+        cov = move_covariance(self._mount, move_covariance((0.0, 0.0, -tracked.pose[2]), tracked.cov))
         return Odometry(Pose(*conjugate(self._mount, motion)), cov)
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
@@ -263,7 +255,7 @@ class ScanFrontEnd:
         """Keep the newest scan as keyframe, and add its pose; its index. What it says of the wheels is learnt."""
         known, graph = self._expected, self._graph
         if tracked is not None and known is not None and not self._sources.present.is_guess:
-            self._noise.measured(known.stated, tracked.off, tracked.cov, float(graph.poses[-1, 2]))
+            self._noise.measured(known.stated, tracked.off, tracked.cov, float(known.prior.pose[2]))
         self._estimator.update({})
         key, mount = self._store.keep(), np.array(self._mount)
         guess = compose(self._estimator.poses_at([key])[0], mount) if tracked is None else tracked.pose

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
-from sixthsense.core.se2 import between, compose, largest_variance, seen_motions, whitenings
+from sixthsense.core.se2 import between, compose, conjugate, largest_variance, move_covariance, triple, whitenings
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.links import NEAR_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
@@ -215,8 +215,11 @@ class ScanGraph:
     def robot_links(self, links: Sequence[KeyframeLink]) -> PoseLinks:
         """Links, between poses of the robot."""
         ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
-        poses, covs = np.array([link.pose for link in links]), np.array([link.cov for link in links])
-        return PoseLinks(ends, *seen_motions(self._mount, poses.reshape(-1, 3), covs.reshape(-1, 3, 3)))
+        mount = triple(self._mount)
+        motions = [conjugate(mount, triple(link.pose)) for link in links]
+        # The covariance of a link is in the axes of its target.
+        covs = [move_covariance(compose(mount, (0.0, 0.0, -link.pose[2])), link.cov) for link in links]
+        return PoseLinks(ends, np.array(motions).reshape(-1, 3), np.array(covs).reshape(-1, 3, 3))
 
     def _drop(self, ids: list[int]) -> None:
         self.uncertainty.remove(ids)

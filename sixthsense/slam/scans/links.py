@@ -26,9 +26,9 @@ from sixthsense.core.se2 import (
     eigen,
     in_axes,
     inverse,
+    move_covariance,
     put,
     symmetrized,
-    transformed_covariance,
     triple,
 )
 from sixthsense.slam.scans.alignment import (
@@ -193,7 +193,6 @@ def reported(cov: Array, pose: Array, own: Array, first: Array, start: Array) ->
     `own` and `first` (3, 3) are the private covariances of its scan and of the first one, which was seen from `start`
     (3,), both in the axes of their lasers. The error of the first turns and shifts all that follows.
     """
-    turned = transformed_covariance(own, math.cos(pose[2]), math.sin(pose[2]), 0.0, 0.0)
-    x, y = pose[0] - start[0], pose[1] - start[1]
-    moved = transformed_covariance(first, math.cos(start[2]), math.sin(start[2]), -y, x)
+    turned = move_covariance((0.0, 0.0, pose[2]), own)
+    moved = move_covariance((start[0] - pose[0], start[1] - pose[1], start[2]), first)
     return symmetrized(added(added(cov, turned), moved))  # a solver's marginal is symmetric to 1e-9 only

@@ -32,11 +32,10 @@ from sixthsense.core.se2 import (
     in_axes,
     inverse,
     inverse_covariance,
+    move_covariance,
     product,
     put,
-    seen_covariance,
     triple,
-    turned_covariance,
     whitening,
     wrapped,
 )
@@ -80,10 +79,10 @@ class WheelNoise:
     def measured(self, stated: Array, off: Array, left: Array, heading: float) -> None:
         """Take in a motion whose error is `off` (3,), known up to the covariance `left` (3, 3).
 
-        `stated` (3, 3) is the covariance by the model, in the axes that the motion begins in. Those of the others are
-        turned back by `heading`: it is that of the beginning in them.
+        `stated` (3, 3) is the covariance by the model, in the axes that the motion ends in. Those of the others are
+        turned back by `heading`: it is that of the end in them.
         """
-        _learn(self._variances, self._count, stated, off, turned_covariance(left, -heading), heading)
+        _learn(self._variances, self._count, stated, off, move_covariance((0.0, 0.0, -heading), left), heading)
         self.factors = np.sqrt(self._variances[[0, 0, 1]])
         self._count = min(self._count + 1.0, _MEMORY)
 
@@ -119,7 +118,7 @@ class Expected(NamedTuple):
     starts: Array
     """(3, 3) poses to begin at: by odometry; moving as before, where wheels are wrong; and standing, where they spin"""
     stated: Array
-    """(3, 3) of the laser's motion since the last keyframe by wheels in general, axes of the keyframe"""
+    """(3, 3) of the laser's motion since the last keyframe by wheels in general, axes of the laser after it"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -135,26 +134,26 @@ def expected(key: Array, last: LastScan, mount: Triple, since: Triple, cov: Arra
         for j in range(3):
             own[i, j] = cov[i, j] * (factors[i] * factors[j])
     pose = np.array(compose(begin, conjugate(back, since)))
-    information = inverse_covariance(turned_covariance(seen_covariance(back, since, own), key[2]))
+    information = inverse_covariance(move_covariance((0.0, 0.0, pose[2]), move_covariance(back, own)))
     starts, moves = (
         np.empty((3, 3)),
         (conjugate(back, compose(inverse(last.since), since)), last.motion, (0.0, 0.0, 0.0)),
     )
     for k in range(len(moves)):
         starts[k, 0], starts[k, 1], starts[k, 2] = compose(before, moves[k])
-    return Expected(Prior(pose, information, SLIP_SIGMAS), starts, seen_covariance(back, since, cov))
+    return Expected(Prior(pose, information, SLIP_SIGMAS), starts, move_covariance(back, cov))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def informations_in_world(key_poses: Array, motions: Array, covs: Array, mount: Triple) -> Array:
     """(m, 3, 3) informations, world axes, of the laser's motions from key poses (m, 3), `T_world_laser`.
 
-    `motions` (m, 3) and `covs` (m, 3, 3) are those of the robot, axes before each motion, and `mount` `T_robot_laser`.
+    `motions` (m, 3) and `covs` (m, 3, 3) are those of the robot, axes after each motion, and `mount` `T_robot_laser`.
     """
     out, back = np.empty((len(covs), 3, 3)), inverse(mount)
     for k in range(len(covs)):
-        cov = seen_covariance(back, triple(motions[k]), covs[k])
-        put(out, k, inverse_covariance(turned_covariance(cov, key_poses[k, 2])))
+        heading = key_poses[k, 2] + motions[k, 2]
+        put(out, k, inverse_covariance(move_covariance((0.0, 0.0, heading), move_covariance(back, covs[k]))))
     return out
 
 

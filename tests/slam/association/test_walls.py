@@ -45,7 +45,7 @@ def test_poses_and_walls_are_consistent_over_many_runs(name):
         estimator, true = make_estimator(name, Pose(), np.zeros((3, 3))), Pose()
         for _ in range(40):
             error = rng.multivariate_normal(np.zeros(3), STEP.cov)
-            true = true @ Pose.from_array(STEP.motion.array() + error)
+            true = true @ STEP.motion @ Pose.from_array(error)
             estimator.predict(STEP)
             estimator.update(sight(true, rng.choice(6, 3, replace=False), rng))
         estimate, joint = joint_state(estimator)

@@ -53,16 +53,17 @@ def test_a_pose_relative_to_another_is_as_certain_as_a_dense_solution_says(solve
     estimator, poses, measured = solved
     ends = np.array([(a, b) for a, b, _ in measured])
 
-    def residuals(free):
+    def off(free, ends):
+        """Errors of the motions between poses, axes of their ends."""
         found = np.vstack([poses[:1], free])
-        return between(found[ends[:, 0]], found[ends[:, 1]])
+        return between(between(poses[ends[:, 0]], poses[ends[:, 1]]), between(found[ends[:, 0]], found[ends[:, 1]]))
 
-    by_poses = jacobian(residuals, poses[1:]).reshape(len(measured), 3, -1)
+    by_poses = jacobian(lambda free: off(free, ends), poses[1:]).reshape(len(measured), 3, -1)
     information = sum(j.T @ np.linalg.inv(cov) @ j for j, (_, _, cov) in zip(by_poses, measured, strict=True))
     joint = np.linalg.inv(information)
     pairs = np.array([[0, 4], [3, 1], [2, 3]])
     for pair, found in zip(pairs, estimator.relative_covariances(pairs), strict=True):
-        by = jacobian(lambda free, pair=pair: between(*np.vstack([poses[:1], free])[pair]), poses[1:])
+        by = jacobian(lambda free, pair=pair: off(free, pair[None]), poses[1:])
         np.testing.assert_allclose(found, by @ joint @ by.T, rtol=1e-5, atol=1e-10)
 
 

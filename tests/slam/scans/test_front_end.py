@@ -214,7 +214,7 @@ def test_a_keyframe_relative_to_another_has_the_graphs_uncertainty_and_the_priva
     def relative(errors):
         """Of the robot, where each laser errs in its own axes."""
         lasers = compose(compose(poses, mount.array()), errors.reshape(2, 3))
-        return between(*compose(lasers, mount.inverse().array()))
+        return between(between(*poses), between(*compose(lasers, mount.inverse().array())))
 
     steps = 1e-6 * np.eye(6)
     by_lasers = np.array([(relative(h) - relative(-h)) / 2e-6 for h in steps]).T
