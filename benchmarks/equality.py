@@ -31,12 +31,12 @@ import numpy as np
 from equality_cases import Case, cases
 from harness import HERE, arguments, check_at_least, commit_of, unpack
 
-from sixthsense.core.landmarks import Kind
+from sixthsense.logs.runfolder import FILE, read_messages
 
 TRAJECTORIES = ("estimate.tum", "smoothed.tum")
 METRICS = "metrics.json"
-LANDMARKS = ("record.npz", "landmarks.npz")
-"""where the landmarks are, now and in earlier commits"""
+LANDMARKS = FILE
+"""where the landmarks are"""
 COMPARED = ("mean", "covariance", "ids", "walls")
 CLOCKS = ("wall_time_s", "realtime_factor", "scan_ms_", "stage_ms_mean.")  # what such keys begin with
 SEED = 3
@@ -96,7 +96,7 @@ def perform(case: Case, tree: Tree) -> None:
     for file in out.glob("*"):
         if file.is_dir():
             shutil.rmtree(file)
-        elif file.name not in (*TRAJECTORIES, *LANDMARKS, METRICS):
+        elif file.name not in (*TRAJECTORIES, LANDMARKS, METRICS):
             file.unlink()
     last = [line.strip() for line in said.splitlines() if line.strip()][-1:]
     record.write_text(json.dumps({"code": code, "said": "".join(last), **identity(case)}, indent=1) + "\n")
@@ -149,15 +149,14 @@ def compare_tum(base: Path, new: Path, name: str) -> str:
 
 
 def landmarks_of(folder: Path) -> dict[str, Any]:
-    """The final pose and landmarks of a run, with their joint covariance; none if they are in no file."""
-    for file in (folder / name for name in LANDMARKS):
-        if file.is_file():
-            with np.load(file) as arrays:
-                found = {name: arrays[name] for name in (*COMPARED, "kinds") if name in arrays}
-            if "mean" in found:
-                kinds = found.pop("kinds", None)
-                return found if kinds is None else found | {"walls": kinds == Kind.WALL}
-    return {}
+    """The final pose and landmarks of a run, with their joint covariance."""
+    found: dict[str, Any] = {}
+    for channel, _, value in read_messages(folder / LANDMARKS)[0]:
+        if channel in ("landmarks", "joint_cov", "end"):
+            found[channel] = np.concatenate([found[channel], value]) if channel in found else value
+    rows = found["landmarks"]
+    mean = np.concatenate([found["end"]["pose"], rows["mean"].ravel()])
+    return {"mean": mean, "covariance": found["joint_cov"], "ids": rows["landmark"], "walls": rows["is_wall"]}
 
 
 def compare_landmarks(base: Path, new: Path) -> list[str]:

@@ -114,7 +114,8 @@ def content(folder: Path) -> dict[str, bytes]:
 
 def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
     """Check what is in the folder after a command; returns which run it is."""
-    with FolderLock(out):
+    partial = out.with_name(out.name + ".partial")
+    with FolderLock(out if case.kind == "campaign" else partial):
         pass
     if case.kind == "campaign":
         from sixthsense.campaigns import load_campaign
@@ -123,7 +124,6 @@ def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
         assert len(rows) <= 6 and (not len(rows) or set(rows["outcome"]) == {"tour ended"})
         assert len(rows) >= (2 if case.onto_earlier else 0), "rows are lost"
         return f"{len(rows)} rows"
-    partial = out.with_name(out.name + ".partial")
     if has_record(partial):
         try:
             load(partial)

@@ -22,6 +22,7 @@ from sixthsense.slam.association.records import Association, MeanShape, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.verdict.verdict import Cause, Verdict
 
 CONFIG = preset(grid={"cell_m": 0.07}, laser={"mount": [0.21, -0.13, 0.4], "max_range": 7.3})
 RADIUS_M = 0.23
@@ -93,6 +94,11 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.wheels, trace.sensor = rng.normal(size=(2, 5)), rng.normal(size=(2, 4))
     trace.relations = Relations(rng.uniform(0.0, 1e9, (2, 2)), np.array(poses_of(rng, 2)))
     trace.last_position = rng.normal(size=2)
+    cause = Cause("slip", "the wheels slipped", 1.5, 2.5, rng.normal(size=(2, 2)))
+    trace.verdict = Verdict("doubtful", 0.375, rng.random(keys), (cause,), {"agreement": 0.625})
+    trace.audit = {"text": "ATE 0.1 m", "nees": [2.5, None]}
+    trace.key_measured = [k % 2 == 0 for k in range(keys)]
+    trace.tours = [rng.normal(size=(k, 2)) for k in (4, 2)]
     hits, passes, seen = rng.integers(0, 9, (5, 8)), rng.integers(0, 9, (5, 8)), rng.random((5, 8)) < 0.7
     for counts in (hits, passes, seen):  # the map is cropped to what is known
         counts[:1], counts[:, :2], counts[:, -1:] = 0, 0, 0

@@ -1,4 +1,4 @@
-"""Reference pages generated from the package: configuration, commands, metrics, and the columns of a run's record."""
+"""Reference pages generated from the package: configuration, commands and metrics."""
 
 from __future__ import annotations
 
@@ -18,8 +18,6 @@ from sixthsense.config import PRESETS, Config, Section, preset
 from sixthsense.config.parts import PartOptions
 from sixthsense.config.section import field_texts
 from sixthsense.evaluation.results import QUANTITIES
-from sixthsense.record.columns import END, KEYFRAME, PLAN, SCAN
-from sixthsense.record.trace import Trace
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _UNIT_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
@@ -36,7 +34,7 @@ _GROUP_NOTES = {
     "Outcome": [
         "The [outcome](../concepts/index.md#how-a-run-ends) is decided by the estimate: the true distance to a goal",
         "that is reached is `goal_error_m`. Coverage is measured against [what can be",
-        "seen](../concepts/exploration.md#coverage). `places_left.csv` has each place left and its reason.",
+        "seen](../concepts/exploration.md#coverage). `run.trace.left` has each place and its reason.",
     ],
     "Accuracy": [
         "Trajectories are not aligned, because the start is known. `ate_rmse_m` is computed from `estimate.tum`, the",
@@ -68,15 +66,6 @@ collided, goal unreachable, out of time, another robot); 2 bad input, reported i
 commands but `report`, `audit`, `scenes`, `parts` and `completion` accept the fields of the
 [configuration](configuration.md) as options in addition to those below.
 """.splitlines()
-_RECORD_INTRO = """\
-`record.jsonl` has a JSON object for each scan, keyframe and plan, written while the run goes on, and a first one with
-format, radius of the robot and scene. `record.npz` has an array for each column of the end. Lists of any length are
-float64 in base64, little-endian, row by row; numbers that are not known are null in a line and NaN in an array. Poses
-are x, y, heading, world frame.
-
-This page is generated from the table that writes, reads and checks both files.
-""".splitlines()
-_TABLES = {"Per scan": SCAN, "Per keyframe": KEYFRAME, "Per planned path": PLAN, "At the end": END}
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
@@ -87,7 +76,6 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
         ("configuration", configuration()),
         ("cli", command_line()),
         ("metrics", metrics()),
-        ("record", record()),
     ):
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     return files
@@ -132,25 +120,6 @@ def metrics() -> str:
     for group, rows in groups.items():
         lines += [f"## {group}", "", "| key | unit | meaning |", "| --- | --- | --- |", *rows, ""]
         lines += [*_GROUP_NOTES[group], ""] if group in _GROUP_NOTES else []
-    return "\n".join(lines)
-
-
-def record() -> str:
-    """Return the page of the columns of a run's record."""
-    lines, texts = ["# The columns of a record", "", *_RECORD_INTRO, ""], field_texts(Trace)
-    for title, fields in _TABLES.items():
-        lines += [
-            f"## {title}",
-            "",
-            "| column | shape | unit | of the trace | meaning |",
-            "| --- | --- | --- | --- | --- |",
-        ]
-        for field in fields:
-            meaning = _cell(texts[field.path.partition(".")[0]])
-            for column in field.columns:
-                shape = " × ".join(str(length) or "any" for length in column.shape) or "1"  # noqa: RUF001
-                lines.append(f"| `{column.name}` | {shape} | {column.unit} | `{field.path}` | {meaning} |")
-        lines.append("")
     return "\n".join(lines)
 
 

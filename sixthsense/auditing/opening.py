@@ -164,7 +164,7 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
     if isinstance(source, (str, Path)) and is_run_folder(Path(source)):
         from sixthsense.record.store import load_record
 
-        return str(Path(source)), load_record(source)[0]
+        return str(Path(source)), load_record(source).trace
     return None
 
 

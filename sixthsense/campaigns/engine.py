@@ -6,19 +6,15 @@ are missing.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import multiprocessing
 import os
-import queue
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from multiprocessing import connection
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -30,8 +26,7 @@ from sixthsense.record.writing import naming
 T = TypeVar("T")
 Row = dict[str, Any]
 
-MOST_DEATHS = 4
-"""processes that may die in one run"""
+_LOOK_S = 0.5  # between two looks at whether the process that has started this one is there
 
 
 class Rows:
@@ -87,152 +82,95 @@ class Executor(Protocol):
         ...
 
 
+class LostWorkerError(Exception):
+    """A run in which its process died twice."""
+
+
 def carry_out(
     executor: Executor, function: Callable[[T], Any], items: Mapping[str, T], until: float = math.inf
 ) -> Iterator[tuple[str, Future[Any]]]:
     """Key and finished future of each call of `function` on an item, as they end.
 
-    No more begin than there are workers, so that a lost worker costs one run; and none after the time `until`, s. Those
-    that run when the iterator is closed are cancelled.
+    No more begin than there are workers, and none after the time `until`, s. A process that dies breaks its pool: the
+    calls that were running begin once more, one after the other, so that the one whose process dies again is known; its
+    future has a LostWorkerError. Those that run when the iterator is closed are cancelled.
     """
-    waiting, running = iter(items.items()), dict[Future[Any], str]()
+    waiting, running = iter(items.items()), dict[Future[Any], tuple[str, T]]()
+    again: list[tuple[str, T]] = []
+    tried: set[str] = set()
     try:
         while True:
-            while len(running) < max(1, executor.workers) and time.time() <= until:
-                key, item = next(waiting, (None, None))
+            while len(running) < (1 if again else max(1, executor.workers)) and time.time() <= until:
+                key, item = again.pop() if again else next(waiting, (None, None))
                 if key is None or item is None:
                     break
-                running[executor.submit(function, item)] = key
+                running[executor.submit(function, item)] = key, item
+                if key in tried:
+                    break
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future
+                key, item = running.pop(future)
+                if not future.cancelled() and isinstance(future.exception(), BrokenProcessPool):
+                    if key not in tried:
+                        tried.add(key)
+                        again.append((key, item))
+                        continue
+                    future = Future()
+                    future.set_exception(LostWorkerError("2 workers died in this run"))
+                yield key, future
     finally:
         for future in running:
             future.cancel()
 
 
-class LostWorkerError(Exception):
-    """A run in which its process died again and again."""
-
-
-def processors() -> int:
-    """The number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 class Processes:
-    """Processes of this machine that make a run each at a time; a context manager that ends them.
+    """Processes of this machine that make a run each at a time, by loky; a context manager that ends them.
 
-    A process that dies is replaced, and its run made again, up to `MOST_DEATHS` times. They end with the process that
-    has started them, whatever ends that. A program that calls this outside of `if __name__ == "__main__"` does not
-    begin again in each, unless the function to call is its own.
+    They end with the process that has started them, whatever ends that. A program that calls this need not do so in
+    `if __name__ == "__main__"`.
     """
 
     def __init__(self, workers: int | None = None, initialize: Callable[[], object] | None = None) -> None:
         """Use `workers` processes, by default one per processor, each of which calls `initialize` once."""
-        self.workers = workers or processors()
+        from loky import cpu_count
+
+        self.workers = workers or cpu_count()
         self._initialize = initialize
-        self._threads = ThreadPoolExecutor(self.workers, "run")
-        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
-        self._all: list[_Worker] = []
-        self._closed = threading.Event()
+        self._pool: Any = None
 
     def __enter__(self) -> Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closed.set()
-        for worker in self._all:
-            worker.process.kill()
-        self._threads.shutdown(cancel_futures=True)
-        for worker in self._all:
-            worker.process.join()
+        if self._pool is not None:
+            self._pool.shutdown(kill_workers=True)
 
     def submit(self, function: Callable[[T], Any], item: T) -> Future[Any]:
-        """Begin a call; an exception of it is that of the future, LostWorkerError if its process died too often."""
-        return self._threads.submit(self._call, function, item)
+        """Begin a call, in a new pool if a process of the last one has died; its future has BrokenProcessPool then."""
+        from loky import ProcessPoolExecutor
 
-    def _call(self, function: Callable[[T], Any], item: T) -> Any:
-        for _ in range(MOST_DEATHS):
+        found: Future[Any]
+        if self._pool is not None:
             try:
-                worker = self._idle.get_nowait()
-            except queue.Empty:
-                worker = _Worker(self._initialize, function)
-                self._all.append(worker)
-                if self._closed.is_set():
-                    worker.process.kill()
-            try:
-                is_done, found = worker.call(function, item)
-            except (EOFError, OSError):
-                if self._closed.is_set():
-                    break
-                continue
-            self._idle.put(worker)
-            if is_done:
+                found = self._pool.submit(function, item)
                 return found
-            raise found
-        raise LostWorkerError(f"{MOST_DEATHS} workers died in this run")
-
-
-class _Worker:
-    """A process and the pipe to it."""
-
-    def __init__(self, initialize: Callable[[], object] | None, function: Any) -> None:
-        spawn = multiprocessing.get_context("spawn")
-        self._pipe, other = spawn.Pipe()
-        self.process = spawn.Process(target=_serve, args=(other, initialize), daemon=True)
-        while isinstance(function, partial):
-            function = function.func
-        is_own = getattr(function, "__module__", "") == "__main__"
-        with terminal_blocked(), contextlib.nullcontext() if is_own else _script_hidden():
-            self.process.start()
-        other.close()
-
-    def call(self, function: Callable[[T], Any], item: T) -> tuple[bool, Any]:
-        """Whether the call returned, and what; or what it raised. EOFError or OSError if the process has died."""
-        self._pipe.send((function, item))
-        found: tuple[bool, Any] = self._pipe.recv()
+            except BrokenProcessPool:
+                self._pool.shutdown(kill_workers=True)
+        with terminal_blocked():  # which the processes inherit
+            self._pool = ProcessPoolExecutor(self.workers, initializer=partial(_begin, os.getpid(), self._initialize))
+            found = self._pool.submit(function, item)
         return found
 
 
-def _serve(pipe: connection.Connection, initialize: Callable[[], object] | None) -> None:
-    """In a process: answer calls until the pipe is closed, and end with the process that has started this one."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+def _begin(parent: int, initialize: Callable[[], object] | None) -> None:
+    """In a process: end with the process that has started it, and prepare for calls."""
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     if initialize is not None:
         initialize()
-    with contextlib.suppress(EOFError):
-        while True:
-            function, item = pipe.recv()
-            try:
-                answer = True, function(item)
-            except Exception as error:
-                answer = False, error
-            try:
-                pipe.send(answer)
-            except Exception as error:  # what cannot be sent
-                pipe.send((False, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
-def _end_with(sentinel: int) -> None:
-    connection.wait([sentinel])
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_LOOK_S)
     os._exit(1)
-
-
-_hiding = threading.Lock()
-
-
-@contextlib.contextmanager
-def _script_hidden() -> Iterator[None]:
-    """Within the block new processes do not import the program that is running."""
-    main = sys.modules["__main__"]
-    with _hiding:
-        before = {name: getattr(main, name) for name in ("__spec__", "__file__") if hasattr(main, name)}
-        main.__spec__ = None
-        vars(main).pop("__file__", None)
-        try:
-            yield
-        finally:
-            vars(main).update(before)

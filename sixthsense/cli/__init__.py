@@ -43,6 +43,7 @@ COMMANDS = {
     "calibrate": ("calibrate", "SCENE", "measure the robot's noise, for `run --config`"),
     "campaign": ("campaign", "[SCENE ...]", "many runs on many processors, with a table"),
     "report": ("report", "RUN_DIR ...", "figures of runs, or of a campaign"),
+    "export": ("export", "RUN", "a bag, a graph, trajectories and tables of a run"),
     "audit": ("audit", "ESTIMATE ...", "is a covariance as large as its errors?"),
     "scenes": ("listing", "[SCENE]", "list the shipped scenes, or draw one"),
     "parts": ("listing", "", "list what can be replaced: estimators, planners, ..."),

@@ -231,14 +231,14 @@ def _left(run: Run) -> Iterator[tuple[str, str]]:
     if left := run.trace.left:
         places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
         gap = "" if left[0].gap_m is None else f" behind a gap of {left[0].gap_m:.2f} m"
-        yield "left unseen", f"{places}, the largest {left[0].reason}{gap}; places_left.csv lists them"
+        yield "left unseen", f"{places}, the largest {left[0].reason}{gap}; --verbose lists them"
 
 
 def _files(run: Run) -> Iterator[tuple[str, str]]:
     """Where the map and the report of a run are."""
     if run.folder is None:
         return
-    found = [name for name in ("figures/map.png", "map.yaml") if (run.folder / name).exists()]
+    found = [name for name in ("map.png", "map.yaml") if (run.folder / name).exists()]
     if found:
         yield "files", ", ".join(str(run.folder / name) for name in found)
     yield "report", f"sixthsense report {shlex.quote(str(run.folder))} writes figures/report.html"

@@ -103,6 +103,7 @@ class Replay(WithPriorMap):
                 "log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
             )
         check_out(options.log, options.out)
+        from sixthsense.figures.plot import save
         from sixthsense.running.runs import RunHooks, replay_log
 
         options.check_truth()
@@ -112,9 +113,15 @@ class Replay(WithPriorMap):
             announce(f"note: {found.name}: {note}")
         stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
         with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
-            run = replay_log(found, folder, RunHooks(hooks, say=announce), prior)
-            if options.truth is not None:
-                print(f"{options.audit(run)}\n")
+            audits: list[Audit | InputError] = []
+            judge = None if options.truth is None else lambda run: audits.append(options.audit(run))
+            run = replay_log(found, folder, RunHooks(hooks, say=announce, at_end=judge), prior)
+            for audit in audits:
+                if isinstance(audit, InputError):
+                    raise audit
+                print(f"{audit}\n")
+                if run.folder is not None:
+                    save(audit.plot(), run.folder / "figures" / "audit.png")
             return show_end(run, options)
 
     def check_truth(self) -> None:
@@ -132,14 +139,15 @@ class Replay(WithPriorMap):
         run = Poses("the run", np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
         open_truth(self.truth, run, run.name, Options(**self._of_truth()))
 
-    def audit(self, run: FinishedRun) -> Audit:
-        """The audit of a run's keyframes by the truth, aligned by all poses; it is kept in the run's folder."""
+    def audit(self, run: FinishedRun) -> Audit | InputError:
+        """The audit of a run's keyframes by the truth, aligned by all poses, which the record keeps; or why not."""
         from sixthsense.auditing.call import audit
 
-        found = audit(run, self.truth, align="all", **self._of_truth())
-        if run.folder is not None:
-            found.save(run.folder / "audit.json")
-            found.plot().savefig(run.folder / "figures" / "audit.png", dpi=150)
+        try:
+            found = audit(run, self.truth, align="all", **self._of_truth())
+        except InputError as error:  # raised when the run is kept
+            return error
+        run.trace.audit = found.as_dict()
         return found
 
     def _of_truth(self) -> dict[str, Any]:

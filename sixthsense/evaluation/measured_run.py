@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -12,14 +11,13 @@ import numpy as np
 
 from sixthsense.config.errors import InputError, did_you_mean
 from sixthsense.config.files import instead_of
-from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import curves, key_nees, key_places, key_poses
 from sixthsense.evaluation.groups import Sample
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.results import TEXTS, Metrics
+from sixthsense.evaluation.results import Metrics
 from sixthsense.evaluation.summary import run_summary
-from sixthsense.record.store import RecordPart, load_record
+from sixthsense.record.store import load_record
 from sixthsense.record.trace import Trace
 from sixthsense.verdict.verdict import Verdict
 
@@ -28,10 +26,8 @@ if TYPE_CHECKING:
 
 MAX_RUNS = 12  # more panels in a figure are illegible
 
-_METRICS_OF_PART = {
-    RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks", "loop_closures", "wheel"),
-}
-"""per part of the record, prefixes of the metrics that need it"""
+_METRICS_OF_END = ("wall_time_s", "realtime_factor", "landmarks", "loop_closures", "wheel")
+"""prefixes of the metrics that need the end of a record"""
 
 
 class MeasuredRun:
@@ -53,7 +49,7 @@ class MeasuredRun:
         self.folder = folder
         """the run's folder; None for a run in memory only"""
         self.missing = tuple(missing)
-        """missing parts of the folder's record, each with its file; `ss.replay(folder)` estimates them again"""
+        """missing parts of the folder's record; `ss.replay(folder)` estimates them again"""
         self._stated = metrics
 
     @property
@@ -143,16 +139,15 @@ class MeasuredRun:
     def summary(self) -> dict[str, str]:
         """The lines of its summary, label and text: outcome, map, accuracy, consistency, speed.
 
-        Accuracy and consistency are those of the audit by a truth, if one is in the folder.
+        Accuracy and consistency are those of the audit by a truth, if there was one.
         """
         told = self.audited.get("summary")
         return run_summary(self.metrics) | (told if isinstance(told, dict) else {})
 
     @property
     def audited(self) -> dict[str, Any]:
-        """What the audit of a replay by a truth has left in the folder; empty without one."""
-        file = None if self.folder is None else self.folder / "audit.json"
-        return {} if file is None or not file.exists() else _read_json(file, "the numbers of an audit")
+        """The audit of a replay by a truth; empty without one."""
+        return dict(self.trace.audit or {})
 
     def __repr__(self) -> str:
         lines = self.summary
@@ -168,41 +163,51 @@ class MeasuredRun:
         """Read a run folder without estimating again; InputError for a damaged folder or one that is not of a run."""
         folder = Path(folder)
         check_folders([folder])
-        trace, lacks = load_record(folder)
-        missing = [part.value for part in lacks]
-        file = folder / "metrics.json"
-        if file.exists():
-            metrics = _read_metrics(file)
-        else:
-            missing.append("the metrics at the run's end (metrics.json)")
-            unknown = tuple(start for part in lacks for start in _METRICS_OF_PART.get(part, ()))
-            metrics = Metrics({k: v for k, v in measure(trace).items() if not k.startswith(unknown)})
-        return cls(trace.name, trace, metrics, folder, missing)
+        trace, lacks, found = load_record(folder)
+        if found is None:
+            found = {name: value for name, value in measure(trace).items() if not name.startswith(_METRICS_OF_END)}
+        return cls(trace.name, trace, Metrics(found), folder, [part.value for part in lacks])
 
+    def to_bag(self, out: str | Path) -> Path:
+        """Write the record as a ROS 2 bag with MCAP storage, a new folder; InputError for a run without a folder."""
+        from sixthsense.record.bag import write_bag
 
-def _read_json(file: Path, what: str) -> dict[str, Any]:
-    """Read a table; InputError if the file is unreadable or damaged."""
-    try:
-        table = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError):
-        raise InputError(file, "found no JSON", what) from None
-    if not isinstance(table, dict):
-        raise InputError(file, "found no table", what)
-    return table
+        if self.folder is None:
+            raise InputError("run", "found a run in memory", "one with a folder, whose record has what it received")
+        write_bag(Path(out), self.folder, self.trace)
+        return Path(out)
 
+    def to_g2o(self, out: str | Path) -> Path:
+        """Write the factor graph as a g2o file, which GTSAM reads: `record.exports.write_g2o`."""
+        from sixthsense.record.exports import write_g2o
 
-def _read_metrics(file: Path) -> Metrics:
-    """Read metrics.json; InputError if it is unreadable or invalid."""
-    metrics = _read_json(file, "a run's metrics")
-    for key, value in metrics.items():
-        if not isinstance(value, str if key in TEXTS else (int, float)):
-            kind = "text" if key in TEXTS else "a number"
-            raise InputError(file, f"{shown_name(key)}: found {shown(value)}", kind)
-        if isinstance(value, int) and value.bit_length() > 1000:  # beyond the range of a float
-            raise InputError(file, f"{shown_name(key)}: found {shown(value)}", "a number")
-    return Metrics(metrics)
+        write_g2o(Path(out), self.trace)
+        return Path(out)
+
+    def to_gtsam(self, out: str | Path) -> Path:
+        """Write all of the factor graph as an NPZ file of arrays, walls included: `record.exports.graph_arrays`."""
+        from sixthsense.record.exports import write_graph
+
+        write_graph(Path(out), self.trace)
+        return Path(out)
+
+    def to_tum(self, out: str | Path) -> list[Path]:
+        """Write the trajectories into a folder: estimate.tum, smoothed.tum and truth.tum."""
+        from sixthsense.record.exports import write_trajectories
+
+        return write_trajectories(Path(out), self.trace)
+
+    def to_csv(self, out: str | Path) -> list[Path]:
+        """Write tables into a folder: trajectory.csv, landmarks.csv, and places_left.csv of an exploration."""
+        from sixthsense.record.exports import write_landmarks, write_places_left
+
+        files = [Path(out) / name for name in ("trajectory.csv", "landmarks.csv", "places_left.csv")]
+        self.trajectory.to_csv(files[0])
+        write_landmarks(Path(out), self.trace)
+        if self.trace.config.task != "explore":
+            return files[:2]
+        write_places_left(files[2], self.trace)
+        return files
 
 
 def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a run") -> None:

@@ -122,16 +122,16 @@ def animate(
     file = Path(file)
     config = load_config(Path(folder) / "config.toml")
     log = read_run(folder, config.laser)
+    plans, tours = log.paths("plan"), log.paths("tour")
     file.parent.mkdir(parents=True, exist_ok=True)
-    drawing = _MapDrawing(finished, title, _WIDTH_IN[file.suffix.lower()], has_tours=bool(log.tours))
+    drawing = _MapDrawing(finished, title, _WIDTH_IN[file.suffix.lower()], has_tours=bool(tours))
     due = set(np.unique(np.linspace(0, len(finished.stamps_ns) - 1, max(frames, 2)).round().astype(int)).tolist())
     with _opened_film(drawing.figure, file) as writer:
 
         def show(tick: Tick, trace: Trace) -> None:
             if (tick.scan is None and tick.observations is None) or len(trace.stamps_ns) - 1 not in due:
                 return
-            plan = _latest(log.plans, tick.stamp_ns)
-            drawing.show(tick, trace, plan, _latest(log.tours, tick.stamp_ns))
+            drawing.show(tick, trace, _latest(plans, tick.stamp_ns), _latest(tours, tick.stamp_ns))
             writer.grab_frame()
             on_frame()
 

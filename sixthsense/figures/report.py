@@ -170,7 +170,7 @@ def _verdicts(name: str, run: MeasuredRun) -> Iterator[Verdict]:
         if text := run.summary.get(label):
             is_alarm = label == "map" and text.split(":")[0].split()[0] not in _GOOD
             yield Verdict(f"{name} {label}".strip(), text, is_alarm or text.startswith("overconfident"))
-    if run.folder is not None and not (run.folder / "metrics.json").is_file():
+    if any("the run's end" in part for part in run.missing):
         yield Verdict(name, "the run was stopped before its end; the page shows the record up to then", True)
     if run.missing:
         yield Verdict(name, f"the folder has no record of {'; '.join(run.missing)}", True)

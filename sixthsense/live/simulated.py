@@ -105,7 +105,7 @@ class SimulatedRobot:
         """Send odometry, and the scans that are due; write the truth."""
         stamp_ns, now_s = self._began_ns + tick.stamp_ns, time.monotonic()
         make = self._messages
-        self._odometry.send(make.serialized(make.odometry(stamp_ns, tick.odometry, None), ODOMETRY))
+        self._odometry.send(make.serialized(make.odometry(stamp_ns, tick.odometry), ODOMETRY))
         if tick.scan is not None:
             begin_ns = stamp_ns + sweep_ns(len(tick.scan.ranges), tick.scan.time_increment)
             data = make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN)

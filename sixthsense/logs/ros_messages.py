@@ -1,9 +1,8 @@
-"""ROS messages as stamps, planar poses, covariances, scans and observations; ValueError for what is not allowed."""
+"""ROS messages as stamps, planar poses, covariances and scans; ValueError for what is not allowed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,7 @@ from numpy.typing import NDArray
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Closure
 from sixthsense.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
 from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S
 from sixthsense.logs.units import SI, Units, check_bearings
@@ -22,24 +19,12 @@ from sixthsense.logs.units import SI, Units, check_bearings
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
-CLOUD = "sensor_msgs/msg/PointCloud2"
-NOT_MEASURED = 1e6
-"""Variance of z, roll and pitch in the covariance of a planar motion, as is customary for robots on a floor."""
 
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
 _LARGEST_STAMP_NS = LAST_STAMP_S * 1_000_000_000
 _LONGEST_SWEEP_S = 1.0
 _LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
-
-_INT32, _UINT8, _FLOAT64 = 5, 2, 8  # of sensor_msgs/PointField
-_POINT = np.dtype(
-    [*((name, "<f8") for name in ("x", "y", "z", "cov_xx", "cov_xy", "cov_yy")), ("id", "<i4"), ("kind", "u1")]
-)
-_TYPES = {"<f8": _FLOAT64, "<i4": _INT32, "|u1": _UINT8}
-FIELDS = tuple((name, offset, _TYPES[kind.str]) for name, (kind, offset) in _POINT.fields.items())  # type: ignore[union-attr, misc]
-"""Name, offset in bytes and ROS's type number of each field of a point; z is 0, for viewers."""
-POINT_BYTES = _POINT.itemsize
 
 
 def stamp_ns(message: Any) -> int:
@@ -175,70 +160,7 @@ def spatial_covariance(cov: Array) -> Array:
     return cov6
 
 
-def increment_covariance(cov: Array | None, is_unmeasured: bool = False) -> Array:
-    """(36,) pose.covariance of an odometry: that of the motion since the previous one, or zero if it is unknown.
-
-    Of a motion that nothing has measured the first entry is -1, as sensors of ROS say that they have no data.
-    """
-    if cov is None or is_unmeasured:
-        none = np.zeros(36)
-        none[0] = -float(is_unmeasured)
-        return none
-    cov6 = spatial_covariance(cov)
-    cov6[2, 2] = cov6[3, 3] = cov6[4, 4] = NOT_MEASURED
-    return cov6.ravel()
-
-
-def read_increment_covariance(message: Any) -> Array | None:
-    """(3, 3) from a message with `increment_covariance`, None if zero; ValueError for an invalid covariance."""
-    return planar_covariance("increment", message) if float(message.pose.covariance[14]) > 0.0 else None
-
-
 def planar_covariance(name: str, message: Any) -> Array:
     """(3, 3) of x, y, yaw in a message whose pose has a covariance; ValueError naming it if it is invalid."""
     cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
     return check_covariance(name, cov6[_PLANE])
-
-
-def closure_of(message: Any, number: int) -> Closure:
-    """The loop closure of a PoseWithCovarianceStamped at tick `number`, whose frame is the number of an earlier one."""
-    before = int(message.header.frame_id)
-    if not 0 <= before < number:
-        raise ValueError(f"found a loop closure with tick {before} at tick {number}, allowed: an earlier one")
-    motion = planar(message.pose.pose.position, message.pose.pose.orientation)
-    return Closure(before, motion, planar_covariance("closure", message))
-
-
-def is_unmeasured(message: Any) -> bool:
-    """Whether nothing has measured the motion of an odometry with `increment_covariance`."""
-    return float(message.pose.covariance[0]) < 0.0
-
-
-def to_bytes(observations: Mapping[LandmarkId, Observation]) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """(len(observations) * POINT_BYTES,) data of a cloud: positions (robot frame, m), covariances, ids, kinds."""
-    points = np.zeros(len(observations), dtype=_POINT)
-    for point, (i, s) in zip(points, observations.items(), strict=True):
-        point["x"], point["y"] = s.z
-        point["cov_xx"], point["cov_xy"], point["cov_yy"] = s.cov[0, 0], s.cov[0, 1], s.cov[1, 1]
-        point["id"], point["kind"] = i, int(s.kind)
-    return points.view(np.uint8).ravel()
-
-
-def from_cloud(message: Any) -> dict[LandmarkId, Observation]:
-    """The observations of a PointCloud2 written by `to_bytes`; ValueError for other clouds and for invalid numbers."""
-    found = tuple((f.name, f.offset, f.datatype) for f in message.fields)
-    if found != FIELDS or message.point_step != POINT_BYTES or message.is_bigendian:
-        raise ValueError(f"found a cloud of {[name for name, *_ in found][:9]}, allowed: {[f[0] for f in FIELDS]}")
-    if len(message.data) % POINT_BYTES:
-        raise ValueError(f"found a cloud of {len(message.data)} bytes, allowed: {POINT_BYTES} a point")
-    out: dict[LandmarkId, Observation] = {}
-    for point in np.asarray(message.data, dtype=np.uint8).copy().view(_POINT):
-        x, y, xx, xy, yy = (float(point[name]) for name in ("x", "y", "cov_xx", "cov_xy", "cov_yy"))
-        if not np.isfinite([x, y, xx, xy, yy]).all() or not (xx > 0.0 and xx * yy - xy * xy > 0.0):
-            raise ValueError(
-                f"found an observation at {x}, {y} of covariance {xx}, {xy}, {yy}, allowed: finite, positive"
-            )
-        if int(point["id"]) in out:
-            raise ValueError(f"found landmark {point['id']} twice in one cloud, allowed: once")
-        out[int(point["id"])] = Observation(Kind(int(point["kind"])), np.array([x, y]), np.array([[xx, xy], [xy, yy]]))
-    return out

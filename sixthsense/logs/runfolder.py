@@ -1,142 +1,209 @@
-"""A run folder as a log: odometry, scans, observations, truth and plans of its bag, without loss."""
+"""The record of a run: an MCAP file of rows and values of JSON by channel; and what the run received, as a log.
+
+Messages of a channel with encoding `json` are values of JSON. Those of encoding `rows` are rows of an array, one after
+the other, little-endian. The schema of the channel has the columns: name, NumPy's type and shape of each. An array
+without columns has one, whose name is empty.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
-from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.source import Tick
-from sixthsense.logs.bag_file import decompressed
+from sixthsense.config.errors import InputError, reason_of
+from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
+from sixthsense.core.laser import Scan, sweep_ns
+from sixthsense.core.source import Closure, Tick
 from sixthsense.logs.log import Log
-from sixthsense.logs.ros_messages import (
-    CLOUD,
-    LASER_SCAN,
-    ODOMETRY,
-    checked_stamp,
-    closure_of,
-    from_cloud,
-    is_unmeasured,
-    planar,
-    read_increment_covariance,
-    scan,
-    stamp_ns,
-)
 from sixthsense.logs.text_lines import check_regular
 
-TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-_TYPES = {
-    "/odom": ODOMETRY,
-    "/truth": TRUTH,
-    "/scan": LASER_SCAN,
-    "/plan": PLAN,
-    "/tour": PLAN,
-    "/observations": CLOUD,
-    "/closures": "geometry_msgs/msg/PoseWithCovarianceStamped",
-}
-_LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
+FILE = "record.mcap"
+FORMAT = 3
+TICK = np.dtype([
+    ("odometry", "<f8", (3,)), ("is_unmeasured", "?"), ("increment_cov", "<f8", (3, 3)), ("truth", "<f8", (3,)),
+    ("log_stamp_s", "<f8"),
+])  # fmt: skip
+"""a tick; NaN for what it does not have"""
+OBSERVATION = np.dtype([
+    ("landmark", "<i8"), ("kind", "<i8"), ("z", "<f8", (2,)), ("cov", "<f8", (2, 2)), ("extent", "<f8", (2,))
+])  # fmt: skip
+CLOSURE = np.dtype([("before", "<i8"), ("motion", "<f8", (3,)), ("cov", "<f8", (3, 3))])
+
+_LARGEST_CHUNK = 1 << 26  # bytes; chunks of a run have one million
+
+
+class Message(NamedTuple):
+    """One message of a record."""
+
+    channel: str
+    stamp_ns: int
+    value: Any
+    """(n,) rows of the channel, or a value of JSON"""
 
 
 class RunLog(Log):
-    """The bag of a run."""
+    """What a run received."""
 
-    plans: Sequence[tuple[int, Array]] = ()
-    """Record time and planned path (N, 2)."""
-    tours: Sequence[tuple[int, Array]] = ()
-    """The same of the tours of an exploration."""
+    messages: Sequence[Message] = ()
+    """all that the record holds"""
+
+    def paths(self, channel: str) -> list[tuple[int, NDArray[Any]]]:
+        """Stamps, ns, and paths (N, 2) of the channel `plan` or `tour`."""
+        return [(message.stamp_ns, message.value) for message in self.messages if message.channel == channel]
 
 
 def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
-    """Read the bag of a run folder, or of its `.partial`: evidence, truth, plans and tours.
+    """Read what a run received from the record in its folder, or in its `.partial`.
 
-    `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
-    its last whole chunk. Raises InputError for a folder without a bag, or a bag without a scan or an observation.
+    `laser` is that of the folder's configuration; beams and ranges come from the record. An incomplete record is read
+    up to its last whole chunk. Raises InputError for a folder without a record, and a record without a scan or an
+    observation.
     """
-    file = Path(folder) / "bag" / "bag_0.mcap"
-    ticks: list[Tick] = []
-    paths: dict[str, list[tuple[int, Array]]] = {"/plan": [], "/tour": []}
-    is_cut_short, place = False, Pose(*laser.mount)
-    try:
-        for topic, record_ns, message in _messages(file):
-            if topic == "/odom":
-                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
-                last_ns = ticks[-1].stamp_ns if ticks else -1
-                if checked_stamp(str(file), record_ns) <= last_ns:
-                    raise InputError(file, f"found a tick at {record_ns} ns after {last_ns} ns", "ascending")
-                cov = read_increment_covariance(message)
-                ticks.append(Tick(record_ns, pose, increment_cov=cov, is_unmeasured=is_unmeasured(message)))
-            elif topic in paths:
-                points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
-                paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
-            elif ticks and topic == "/truth":
-                ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
-            elif ticks and topic == "/observations":
-                ticks[-1] = replace(ticks[-1], observations=from_cloud(message))
-            elif ticks and topic == "/closures":
-                closure = closure_of(message, len(ticks) - 1)
-                ticks[-1] = replace(ticks[-1], closures=(*(ticks[-1].closures or ()), closure))
-            elif ticks:
-                # The message has the maximum range as a float32 only.
-                known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
-                seen = scan(message, place, max_range=known)
-                # Negative where the last beam was taken first, of which a message of another writer says nothing.
-                seen = replace(seen, time_increment=np.float32(message.time_increment))
-                ticks[-1] = replace(ticks[-1], scan=seen, log_stamp_s=stamp_ns(message) / 1_000_000_000)
-    except InputError:
-        raise
-    except _CutShortError:
-        is_cut_short = True
-    except Exception as error:  # a message with valid checksums may still be invalid
-        raise InputError(file, f"found a message that cannot be read ({error})", "a bag of a run") from None
+    file = Path(folder) / FILE
+    messages, is_cut = read_messages(file)
+    with readable(file):
+        ticks = list(ticks_of(messages, Pose(*laser.mount)))
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
-        cut = " before it ends" * is_cut_short
-        raise InputError(file, f"found no scan and no observation{cut}", "a bag of a run")
-    if any(tick.closures for tick in ticks):
-        ticks = [replace(tick, closures=tick.closures or ()) for tick in ticks]
+        raise InputError(file, f"found no scan and no observation{' before it ends' * is_cut}", "the record of a run")
     used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
-    remarks = [f"the recording is incomplete; its first {used_s:.1f} s are used"] * is_cut_short
-    log = RunLog(ticks, laser, remarks)
-    log.plans, log.tours = paths["/plan"], paths["/tour"]
+    log = RunLog(ticks, laser, [f"the recording is incomplete; its first {used_s:.1f} s are used"] * is_cut)
+    log.messages = messages
     return log
 
 
-class _CutShortError(Exception):
-    """A recording has been read up to where it ends early."""
+def observation_rows(observations: Mapping[LandmarkId, Observation]) -> NDArray[Any]:
+    """(n,) rows of `OBSERVATION`."""
+    rows = [(i, int(seen.kind), seen.z, seen.cov, seen.extent) for i, seen in observations.items()]
+    return np.array(rows, dtype=OBSERVATION)
 
 
-def _messages(file: Path) -> Iterator[tuple[str, int, Any]]:
-    """Topic, record time in ns, and message, for the topics of a log, chunk by chunk of an MCAP file."""
+def observations_of(rows: NDArray[Any]) -> dict[LandmarkId, Observation]:
+    """The inverse of `observation_rows`."""
+    return {
+        int(row["landmark"]): Observation(Kind(row["kind"]), row["z"], row["cov"], tuple(row["extent"].tolist()))
+        for row in rows
+    }
+
+
+def ticks_of(messages: Sequence[Message], mount: Pose) -> Iterator[Tick]:
+    """The ticks; a scan without a stamp of its log has that of its first beam.
+
+    Raises ValueError for stamps that do not ascend, and for a loop closure with no earlier tick.
+    """
+    tick: Tick | None = None
+    laser: Mapping[str, Any] = {}
+    number = -1
+    for channel, stamp_ns, value in messages:
+        if channel == "tick":
+            if tick is not None:
+                yield tick
+                if stamp_ns <= tick.stamp_ns:
+                    raise ValueError(f"a tick at {stamp_ns} ns after {tick.stamp_ns} ns")
+            tick, number = _tick(stamp_ns, value[0]), number + 1
+        elif channel == "laser":
+            laser = value
+        elif tick is None:
+            continue
+        elif channel == "scan":
+            names = "angle_min", "angle_increment", "time_increment"
+            first, step, lag = (np.float32(laser[name]) for name in names)
+            seen = Scan(value, first, step, float(laser["max_range"]), mount, lag)
+            began_s = max(stamp_ns + sweep_ns(len(value), lag), 0) / 1_000_000_000
+            tick = replace(tick, scan=seen, log_stamp_s=began_s if tick.log_stamp_s is None else tick.log_stamp_s)
+        elif channel == "observations":
+            tick = replace(tick, observations=observations_of(value))
+        elif channel == "closures":
+            closures = [Closure(int(row["before"]), Pose.from_array(row["motion"]), row["cov"]) for row in value]
+            if any(not 0 <= closure.before < number for closure in closures):
+                raise ValueError(f"a loop closure of tick {number} with no earlier one")
+            tick = replace(tick, closures=tuple(closures))
+    if tick is not None:
+        yield tick
+
+
+def _tick(stamp_ns: int, row: Any) -> Tick:
+    cov, truth, own_s = row["increment_cov"], row["truth"], float(row["log_stamp_s"])
+    return Tick(
+        stamp_ns,
+        Pose.from_array(row["odometry"]),
+        increment_cov=None if np.isnan(cov).any() else cov,
+        truth=None if np.isnan(truth).any() else Pose.from_array(truth),
+        log_stamp_s=None if math.isnan(own_s) else own_s,
+        is_unmeasured=bool(row["is_unmeasured"]),
+    )
+
+
+def read_messages(file: Path) -> tuple[list[Message], bool]:
+    """All messages of a record, and whether it ends early: then those of its whole chunks.
+
+    Raises InputError for a file that cannot be read, that is no record, or whose record has another format.
+    """
     from mcap.exceptions import McapError
-    from mcap.records import Channel, Message
-    from rosbags.typesys import Stores, get_typestore
+    from mcap.records import Channel, DataEnd, Schema
+    from mcap.records import Message as Raw
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    topics: dict[int, str] = {}
-    try:
+    columns: dict[int, np.dtype[Any]] = {}
+    channels: dict[int, tuple[str, np.dtype[Any] | None]] = {}
+    found: list[Message] = []
+    record: Any = None
+    with readable(file):
+        if not file.is_file():
+            raise InputError(file, "no such file", "the folder of a run of this version")
         check_regular(file)
-        with file.open("rb") as stream:
-            for record in _records(stream):
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, Message) and (topic := topics.get(record.channel_id, "")) in _TYPES:
-                    yield topic, record.log_time, store.deserialize_cdr(record.data, _TYPES[topic])
-    except FileNotFoundError:
-        raise InputError(file, "no such file", "a run folder with a bag") from None
+        try:
+            with file.open("rb") as stream:
+                for record in _records(stream):
+                    if isinstance(record, Schema) and record.encoding == "rows":
+                        columns[record.id] = _row_type(json.loads(record.data))
+                    elif isinstance(record, Channel):
+                        channels[record.id] = record.topic, columns.get(record.schema_id)
+                    elif isinstance(record, Raw):
+                        name, row = channels[record.channel_id]
+                        value = json.loads(record.data) if row is None else np.frombuffer(record.data, row)
+                        found.append(Message(name, record.log_time, value))
+        except (McapError, struct.error):
+            raise InputError(file, "is not an MCAP file", "the record of a run") from None
+        if not found or found[0].channel != "run" or found[0].value["format"] != FORMAT:
+            raise InputError(file, "found no record of this version", "the record of a run")
+    return found, not isinstance(record, DataEnd)
+
+
+@contextlib.contextmanager
+def readable(file: Path) -> Iterator[None]:
+    """Within the block whatever is wrong with the content of a file is an InputError that names it."""
+    try:
+        yield
+    except InputError:
+        raise
     except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror})") from None
-    except (McapError, struct.error):
-        raise InputError(file, "is not an MCAP file", "a bag of a run") from None
+        raise InputError(file, f"cannot be read ({error.strerror or 'damaged'})") from None
+    except Exception as error:  # a message with a valid checksum may still be invalid
+        raise InputError(file, f"found {reason_of(error)}", "the record of a run") from None
+
+
+def _row_type(columns: Sequence[tuple[str, str, Sequence[int]]]) -> np.dtype[Any]:
+    """NumPy's type of a row, from a schema."""
+    types = [(str(name), np.dtype(kind), tuple(shape)) for name, kind, shape in columns]
+    if any(kind.kind not in "fiub" for _, kind, _ in types):
+        raise ValueError("a column that has no numbers")
+    if types[0][0] == "":
+        return np.dtype(types[0][1:])
+    return np.dtype(types)
 
 
 def _records(stream: IO[bytes]) -> Iterator[Any]:
-    """The records of whole chunks; raises _CutShortError after them if the file ends early, or is damaged there."""
+    """The records of all whole chunks, and `DataEnd`, which is missing from a file that ends early."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk, DataEnd
     from mcap.stream_reader import StreamReader, breakup_chunk, read_magic
@@ -146,14 +213,9 @@ def _records(stream: IO[bytes]) -> Iterator[Any]:
     while True:
         try:
             record = next(records)
-            if isinstance(record, DataEnd):
-                return
-            if not isinstance(record, Chunk):
-                continue
-            plain = replace(record, data=decompressed(record.data, record.compression), compression="")
-            content = breakup_chunk(plain, validate_crc=True)
-        except Exception:
-            # The writer was stopped here; an incomplete record can raise any exception. Each chunk has a checksum,
-            # so the records read before are valid.
-            raise _CutShortError from None
+            content = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+        except Exception:  # the writer was stopped here; an incomplete record raises any exception
+            return
         yield from content
+        if isinstance(record, DataEnd):
+            return

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,31 +12,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.covariance import root_information
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.motion import Odometry
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import Observation
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
 from sixthsense.slam.front_end import PoseLinks
 
+NAMES = (
+    "metrics.json", "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", "map.pgm", "map.yaml", "map.png",
+    "bag", "graph.g2o", "graph.npz", "trajectory.csv", "places_left.csv",
+)  # fmt: skip
+"""what a run or `sixthsense export` writes beside record and configuration"""
 NO_LINKS = PoseLinks(np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 _MIN_SIGMA = 1e-6  # smallest sigma of a motion, m and rad: the information matrix must be finite
 
 
-def write_exports(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None:
-    """Write what a finished run leaves for others: all files of its folder but the record, the verdict and figures."""
-    write_tum(folder / "estimate.tum", trace.stamps_ns, np.array(trace.estimates))
-    write_tum(folder / "smoothed.tum", trace.key_stamps_ns, trace.trajectory)
-    if trace.truths:
-        write_tum(folder / "truth.tum", trace.stamps_ns, np.array(trace.truths))
+def write_files(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None:
+    """Write what a finished run leaves beside its record: metrics, trajectories, landmarks and map."""
+    write_trajectories(folder, trace)
     write_landmarks(folder, trace)
-    write_graph(folder, factor_graph(trace), links_of(trace))
     if trace.grid is not None:
         write_map(folder, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
-    if trace.outcome.startswith("explored"):
-        write_places_left(folder / "places_left.csv", trace)
     with whole(folder / "metrics.json") as file:
         file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+
+
+def write_trajectories(folder: Path, trace: Trace) -> list[Path]:
+    """Write `estimate.tum`, `smoothed.tum`, and `truth.tum` where there is truth; returns the files."""
+    poses = {
+        "estimate.tum": (trace.stamps_ns, np.array(trace.estimates)),
+        "smoothed.tum": (trace.key_stamps_ns, trace.trajectory),
+        "truth.tum": (trace.stamps_ns, np.array(trace.truths)),
+    }
+    files = [folder / name for name, (_, rows) in poses.items() if name != "truth.tum" or len(rows)]
+    for file in files:
+        write_tum(file, *poses[file.name])
+    return files
 
 
 def write_tum(file: Path, stamps_ns: list[int], poses: Array) -> None:
@@ -127,123 +137,86 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
         file.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
 
 
-@dataclass(frozen=True, slots=True)
-class FactorGraph:
-    """Key poses, the odometry between them, and the observations of the final landmarks."""
+def graph_arrays(trace: Trace) -> dict[str, NDArray[Any]]:
+    """The factor graph of a finished run with any estimator, of the landmarks that this run has seen, as arrays.
 
-    poses: Array
-    """(K, 3) final pose at each keyframe, world frame"""
-    landmark_ids: NDArray[np.int64]
-    """(n,)"""
-    landmarks: Array
-    """(n, 2) final means, world frame, m"""
-    motions: Array
-    """(K - 1, 3) odometry from each key pose to the next, frame of the first of the two"""
-    motion_covs: Array
-    """(K - 1, 3, 3) their covariances, axes of the second frame"""
-    observation_of: NDArray[np.int64]
-    """(M, 2) index of the key pose, index of the landmark"""
-    observations: Array
-    """(M, 2) position in the robot's frame, m"""
-    observation_covs: Array
-    """(M, 2, 2) their covariances"""
-    bearing_range: Array
-    """(M, 2) the observations as bearing and range, the form used by the smoother; rad, m"""
-    bearing_range_covs: Array
-    """(M, 2, 2) their covariances"""
-    wall_ids: NDArray[np.int64]
-    """(w,)"""
-    walls: Array
-    """(w, 2) final means: alpha, rad, and d, m, world frame"""
-    wall_observation_of: NDArray[np.int64]
-    """(L, 2) index of the key pose, index of the wall"""
-    wall_observations: Array
-    """(L, 2) alpha and d in the robot's frame"""
-    wall_observation_covs: Array
-    """(L, 2, 2) their covariances"""
-
-
-def factor_graph(trace: Trace) -> FactorGraph:
-    """Build the factor graph of a finished run with any estimator, of the landmarks that this run has seen.
-
-    Those of a prior map that it has not seen again are left out, as is what is known of the others by the prior map.
+    `poses` (K, 3) final key poses; `motions` (K - 1, 3) odometry from each to the next, frame of the first, with
+    `motion_covs` in the axes of the second; `link_ends` (m, 2), `link_motions` and `link_covs` the same by scan
+    matching. `landmark_ids` (n,) and `landmarks` (n, 2) of points, m; `observation_of` (M, 2) key pose and landmark of
+    each observation, `bearing_range` (M, 2), rad and m, and `bearing_range_covs`. `wall_ids` (w,) and `walls` (w, 2),
+    alpha and d, with `wall_observation_of` (L, 2), `wall_observations` in the robot's frame and
+    `wall_observation_covs`. What a prior map knows, and landmarks of it that were not seen again, are left out.
     """
     seen = np.isin(trace.final.ids, [i for association in trace.associations for i in association.observations])
-    ids, landmarks, walls = trace.final.ids[seen], trace.final.landmarks[seen], trace.final.walls[seen]
-    points, walls_seen = (_observations_of(trace, ids[kind].tolist()) for kind in (~walls, walls))
-    polar = [observation.bearing_range() for _, _, observation in points]
+    ids, landmarks, is_wall = trace.final.ids[seen], trace.final.landmarks[seen], trace.final.walls[seen]
     motions = trace.key_odometry[1:]
-    return FactorGraph(
-        trace.trajectory.copy(),
-        ids[~walls],
-        landmarks[~walls],
-        np.array([m.motion.array() for m in motions]).reshape(-1, 3),
-        np.array([_regularized_cov(m) for m in motions]).reshape(-1, 3, 3),
-        *_columns(points),
-        np.array([(bearing, distance) for bearing, distance, _ in polar]).reshape(-1, 2),
-        np.array([cov for _, _, cov in polar]).reshape(-1, 2, 2),
-        ids[walls],
-        landmarks[walls],
-        *_columns(walls_seen),
-    )
+    points, walls = (list(_observations(trace, ids[kind].tolist())) for kind in (~is_wall, is_wall))
+    polar = [observation.bearing_range() for _, _, observation in points]
+    found: dict[str, NDArray[Any]] = {
+        "poses": trace.trajectory,
+        "motions": _rows([motion.motion.array() for motion in motions], 3),
+        "motion_covs": _regular(_rows([motion.cov for motion in motions], 3, 3)),
+        "landmark_ids": ids[~is_wall],
+        "landmarks": landmarks[~is_wall],
+        "observation_of": _rows([(k, j) for k, j, _ in points], 2).astype(np.int64),
+        "bearing_range": _rows([(bearing, distance) for bearing, distance, _ in polar], 2),
+        "bearing_range_covs": _rows([cov for _, _, cov in polar], 2, 2),
+        "wall_ids": ids[is_wall],
+        "walls": landmarks[is_wall],
+        "wall_observation_of": _rows([(k, j) for k, j, _ in walls], 2).astype(np.int64),
+        "wall_observations": _rows([observation.z for _, _, observation in walls], 2),
+        "wall_observation_covs": _rows([observation.cov for _, _, observation in walls], 2, 2),
+    }
+    ends, steps, covs = NO_LINKS if trace.links is None else trace.links
+    return found | {"link_ends": ends, "link_motions": steps, "link_covs": _regular(covs)}
 
 
-def links_of(trace: Trace) -> PoseLinks:
-    """The links by scan matching of a finished run, with covariances in the axes of the second frame."""
-    found = trace.links or NO_LINKS
-    links = [Odometry(Pose.from_array(motion), cov) for motion, cov in zip(found.motions, found.covs, strict=True)]
-    return found._replace(covs=np.array([_regularized_cov(link) for link in links]).reshape(-1, 3, 3))
-
-
-def _observations_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Observation]]:
+def _observations(trace: Trace, ids: list[int]) -> Iterator[tuple[int, int, Observation]]:
     """Observations of the landmarks `ids`: index of the keyframe, index of the landmark, observation."""
     column = {i: k for k, i in enumerate(ids)}
-    return [
-        (k, column[i], observation)
-        for k, association in enumerate(trace.associations)
-        for i, observation in association.observations.items()
-        if i in column
-    ]
+    for k, association in enumerate(trace.associations):
+        yield from ((k, column[i], seen) for i, seen in association.observations.items() if i in column)
 
 
-def _columns(rows: list[tuple[int, int, Observation]]) -> tuple[NDArray[np.int64], Array, Array]:
-    """(N, 2) indices of observations, (N, 2) what is seen, and (N, 2, 2) covariances."""
-    return (
-        np.array([(k, j) for k, j, _ in rows], dtype=np.int64).reshape(-1, 2),
-        np.array([observation.z for _, _, observation in rows]).reshape(-1, 2),
-        np.array([observation.cov for _, _, observation in rows]).reshape(-1, 2, 2),
-    )
+def _rows(values: list[Any], *shape: int) -> Array:
+    return np.array(values, dtype=np.float64).reshape(-1, *shape)
 
 
-def _regularized_cov(odometry: Odometry) -> Array:
-    return odometry.cov + _MIN_SIGMA**2 * np.eye(3)
+def _regular(covs: Array) -> Array:
+    return covs + _MIN_SIGMA**2 * np.eye(3)
 
 
-def write_graph(folder: Path, graph: FactorGraph, links: PoseLinks = NO_LINKS) -> None:
-    """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz`, which also contains the walls.
+def write_graph(file: Path, trace: Trace) -> None:
+    """Write the arrays of `graph_arrays` as NPZ."""
+    with whole(file) as unfinished:
+        np.savez(unfinished, **graph_arrays(trace))  # type: ignore[arg-type]
 
-    In the g2o file a pose is VERTEX_SE2, odometry and links by scan matching EDGE_SE2 with
-    their information matrices, a landmark VERTEX_XY, and an
-    observation `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of bearing and
-    range. The first pose is the start of the run; the format has no tag for a prior. Poses are numbered first, then
-    landmarks.
+
+def write_g2o(file: Path, trace: Trace) -> None:
+    """Write the factor graph as g2o, which GTSAM's `readG2o` reads.
+
+    A pose is VERTEX_SE2, odometry and links by scan matching EDGE_SE2 with their information matrices, a landmark
+    VERTEX_XY, and an observation `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of
+    bearing and range. The first pose is the start of the run; the format has no tag for a prior or a wall. Poses are
+    numbered first, then landmarks.
     """
-    first = len(graph.poses)
-    lines = [f"VERTEX_SE2 {k} {_row(pose)}" for k, pose in enumerate(graph.poses)]
-    lines += [f"VERTEX_XY {first + j} {_row(xy)}" for j, xy in enumerate(graph.landmarks)]
+    graph = graph_arrays(trace)
+    first = len(graph["poses"])
+    lines = [f"VERTEX_SE2 {k} {_row(pose)}" for k, pose in enumerate(graph["poses"])]
+    lines += [f"VERTEX_XY {first + j} {_row(xy)}" for j, xy in enumerate(graph["landmarks"])]
     upper = np.triu_indices(3)
-    steps = ((k, k + 1) for k in range(len(graph.motions)))
-    edges = (*zip(steps, graph.motions, graph.motion_covs, strict=True), *zip(*links, strict=True))
+    steps = [(k, k + 1) for k in range(len(graph["motions"]))]
+    edges = (
+        *zip(steps, graph["motions"], graph["motion_covs"], strict=True),
+        *zip(graph["link_ends"], graph["link_motions"], graph["link_covs"], strict=True),
+    )
     for (k, j), motion, cov in edges:
         lines.append(f"EDGE_SE2 {k} {j} {_row(motion)} {_row(_information(cov)[upper])}")
-    rows = zip(graph.observation_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
+    rows = zip(graph["observation_of"], graph["bearing_range"], graph["bearing_range_covs"], strict=True)
     for (k, j), polar, cov in rows:
         lines.append(f"BR {k} {first + j} {_row(polar)} {_row(np.sqrt(np.diag(cov)))}")
-    with whole(folder / "graph.g2o") as file:
-        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with whole(folder / "graph.npz") as file:
-        of_links = {f"link_{name}": values for name, values in links._asdict().items()}
-        np.savez(file, **{name: getattr(graph, name) for name in FactorGraph.__slots__}, **of_links)
+    with whole(file) as unfinished:
+        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _information(cov: Array) -> Array:

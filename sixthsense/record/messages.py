@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.logs.ros_messages import (
-    CLOUD,
-    FIELDS,
-    POINT_BYTES,
-    increment_covariance,
-    spatial_covariance,
-    to_bytes,
-)
+from sixthsense.logs.ros_messages import spatial_covariance
 
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """names of the frames"""
@@ -30,8 +20,6 @@ MAP_UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 """a type that ROS 2 has in a package of its own"""
 _MAP_UPDATE_FIELDS = "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data"
 
-_STAMP_AT, _STAMP = 4, struct.Struct("<iI")  # behind four bytes that say how numbers are encoded
-_ULP_OFFSETS = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in ulp
 _LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
 
 
@@ -52,9 +40,8 @@ class Messages:
 
     def header(self, stamp_ns: int, frame: str) -> Any:
         """std_msgs/Header."""
-        return self._types["std_msgs/msg/Header"](
-            self._types["builtin_interfaces/msg/Time"](*seconds_and_nanoseconds(stamp_ns)), frame
-        )
+        time = divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
+        return self._types["std_msgs/msg/Header"](self._types["builtin_interfaces/msg/Time"](*time), frame)
 
     def pose(self, pose: Pose) -> Any:
         """geometry_msgs/Pose."""
@@ -73,13 +60,13 @@ class Messages:
         poses = [self.pose_stamped(stamp_ns, Pose(x, y)) for x, y in path_world.tolist()]
         return self._types["nav_msgs/msg/Path"](self.header(stamp_ns, WORLD), poses)
 
-    def odometry(self, stamp_ns: int, pose: Pose, increment_cov: Array | None, is_unmeasured: bool = False) -> Any:
-        """nav_msgs/Odometry, with the (3, 3) covariance of the motion since the last one, if it is known."""
+    def odometry(self, stamp_ns: int, pose: Pose) -> Any:
+        """nav_msgs/Odometry; its covariances are zero, which says that they are not known."""
         pose_with_cov = self._types["geometry_msgs/msg/PoseWithCovariance"]
         return self._types["nav_msgs/msg/Odometry"](
             self.header(stamp_ns, ODOM),
             ROBOT,
-            pose_with_cov(self.pose(pose), increment_covariance(increment_cov, is_unmeasured)),
+            pose_with_cov(self.pose(pose), np.zeros(36)),
             self._types["geometry_msgs/msg/TwistWithCovariance"](self.twist(0.0, 0.0), np.zeros(36)),
         )
 
@@ -113,12 +100,12 @@ class Messages:
             scan.max_range, scan.ranges, intensities,
         )  # fmt: skip
 
-    def estimate(self, stamp_ns: int, pose: Pose, cov: Array, frame: str = WORLD) -> Any:
-        """geometry_msgs/PoseWithCovarianceStamped in the world or another frame, of (3, 3) covariance."""
+    def estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
+        """geometry_msgs/PoseWithCovarianceStamped in the world frame, of (3, 3) covariance."""
         pose_with_cov = self._types["geometry_msgs/msg/PoseWithCovariance"](
             self.pose(pose), spatial_covariance(cov).ravel()
         )
-        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self.header(stamp_ns, frame), pose_with_cov)
+        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self.header(stamp_ns, WORLD), pose_with_cov)
 
     def transform(self, stamp_ns: int, parent: str, child: str, T_parent_child: Pose) -> Any:
         """tf2_msgs/TFMessage of one transform."""
@@ -142,55 +129,7 @@ class Messages:
         (height, width), (row, col) = occupancy.shape, first
         return self._types[MAP_UPDATE](self.header(stamp_ns, WORLD), col, row, width, height, occupancy.ravel())
 
-    def cloud(self, stamp_ns: int, observations: Mapping[LandmarkId, Observation]) -> Any:
-        """sensor_msgs/PointCloud2 of observations of landmarks, robot's frame."""
-        data = to_bytes(observations)
-        field = self._types["sensor_msgs/msg/PointField"]
-        fields = [field(name, offset, kind, 1) for name, offset, kind in FIELDS]
-        header = self.header(stamp_ns, ROBOT)
-        return self._types[CLOUD](header, 1, len(observations), fields, False, POINT_BYTES, len(data), data, True)
-
-
-def seconds_and_nanoseconds(stamp_ns: int) -> tuple[int, int]:
-    """The two numbers of a stamp."""
-    return divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
-
-
-class MessageForm:
-    """A message with a header, in whose serialized form the stamp and some successive numbers are replaced.
-
-    Of so many messages that differ in nothing else, none is made of its dozen objects.
-    """
-
-    def __init__(self, data: bytes, marks: NDArray[Any]) -> None:
-        """Take the form of a message in little-endian CDR, in which `marks` stand, numbers that stand nowhere else."""
-        self._data, self._type = data, marks.dtype
-        self._begin = data.index(marks.tobytes())
-        self._end = self._begin + marks.nbytes
-
-    def fill(self, stamp_ns: int, numbers: ArrayLike) -> bytes:
-        """The message with this stamp in its header, and these numbers."""
-        data = bytearray(self._data)
-        _STAMP.pack_into(data, _STAMP_AT, *seconds_and_nanoseconds(stamp_ns))
-        data[self._begin : self._end] = np.asarray(numbers, dtype=self._type).tobytes()
-        return bytes(data)
-
-
-def pose_numbers(pose: Sequence[float]) -> tuple[float, ...]:
-    """The seven numbers of a geometry_msgs/Pose at x, y and heading, in their order in it."""
-    x, y, theta = pose
-    return x, y, 0.0, 0.0, 0.0, *quaternion(theta)
-
 
 def quaternion(theta: float) -> tuple[float, float]:
-    """Z and w of a rotation by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) equals `theta` exactly.
-
-    Angles below 1e-300 are excepted. Sine and cosine alone lose the last bit, which can change the selection of
-    keyframes in a replay.
-    """
-    sin, cos = math.sin(0.5 * theta), math.cos(0.5 * theta)
-    for i, j in _ULP_OFFSETS:
-        z, w = sin + i * math.ulp(sin), cos + j * math.ulp(cos)
-        if 2.0 * math.atan2(z, w) == theta:
-            return z, w
-    return sin, cos
+    """Z and w of a rotation by `theta` about z."""
+    return math.sin(0.5 * theta), math.cos(0.5 * theta)

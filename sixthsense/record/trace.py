@@ -182,9 +182,9 @@ class Trace:
     walls_found: list[Array] = field(default_factory=list)
     """per keyframe: (W, 2, 2) extracted segments, robot's frame"""
     key_scans: list[Scan | None] = field(default_factory=list)
-    """per keyframe: its scan, deskewed; not written to the folder"""
+    """per keyframe: its scan, deskewed; of a run from its folder as the laser sent it"""
     key_measured: list[bool] = field(default_factory=list)
-    """per keyframe: whether wheels have measured all of the motion to it; not written to the folder"""
+    """per keyframe: whether wheels have measured all of the motion to it"""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     """per keyframe: stage times"""
     outcome: str = ""
@@ -196,7 +196,7 @@ class Trace:
     plans: list[Array] = field(default_factory=list)
     """planned paths"""
     tours: list[Array] = field(default_factory=list)
-    """(N, 2) robot, views and home of each tour by which an exploration chose a view; not written to the folder"""
+    """(N, 2) robot, views and home of each tour by which an exploration chose a view"""
     plans_below_margin: int | None = None
     """number of plans with less than the desired margin to obstacles; None for a log"""
     plans_by_astar: int | None = None
@@ -233,6 +233,8 @@ class Trace:
     """the prior map that the run began with: `name` and `digest`, `pose` if given, `pose_sigma`; None without one"""
     verdict: Verdict | None = None
     """whether the map is right, and what speaks against it; None while the run goes on"""
+    audit: Mapping[str, Any] | None = None
+    """the audit of a replay by a truth, as a table; None without one"""
     name: str = ""
     """name of the scene, log or folder"""
     live: Live | None = None

@@ -6,12 +6,15 @@ A run may be ended at any moment, also while it is saved, and two processes neve
 from __future__ import annotations
 
 import contextlib
-import errno
+import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from sixthsense.config.errors import InputError
+
+LOCK = ".lock"
+"""file in a folder that a process is writing"""
 
 
 @contextlib.contextmanager
@@ -50,33 +53,33 @@ class FolderInUseError(InputError):
 
 
 class FolderLock:
-    """Holds `.NAME.lock` beside the folder `NAME`; a context manager.
+    """Holds `.lock` in a folder, which it makes with its parents; a context manager.
 
-    The operating system releases the lock of a process that was killed. The file is removed with the lock.
+    The operating system releases the lock of a process that has ended, whatever ended it.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Take the lock, and create the folder's parents.
-
-        Raises FolderInUseError if another process holds the lock, and OSError if the parents cannot be written.
-        """
-        from filelock import FileLock, Timeout
-
+        """Take the lock; raises FolderInUseError if another process has it, and OSError."""
+        self.folder = folder
+        """where the locked folder is, which may be renamed"""
         place = folder.absolute()
-        self._file = place.parent / f".{place.name}.lock"
-        self._made = [parent for parent in place.parents if not parent.exists()]
-        self._lock = FileLock(self._file, timeout=0, mode=0o666, thread_local=False)
-        try:
-            _make(place.parent)
-            self._lock.acquire()
-        except Timeout:
-            raise FolderInUseError(
-                "out", f"found another process that writes {folder}", "another folder, or wait for its end"
-            ) from None
-        except OSError as error:
-            self._remove_made()
-            error.filename = str(folder)
-            raise
+        self._made = [path for path in (place, *place.parents) if not path.exists()]
+        self._descriptor = -1
+        while self._descriptor < 0:
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.path.samestat(os.fstat(descriptor), (folder / LOCK).stat()):
+                    self._descriptor = descriptor
+            except BlockingIOError:
+                found, allowed = f"found another process that writes {folder}", "another folder, or wait for its end"
+                raise FolderInUseError("out", found, allowed) from None
+            except FileNotFoundError:  # the folder was renamed meanwhile
+                pass
+            finally:
+                if self._descriptor != descriptor:
+                    os.close(descriptor)
 
     def __enter__(self) -> FolderLock:
         return self
@@ -85,22 +88,13 @@ class FolderLock:
         self.release()
 
     def release(self) -> None:
-        """Release the lock, and remove the parents that were created if nothing is in them."""
-        if not self._lock.is_locked:
+        """Release the lock, and remove the folder and the parents that were made if nothing is in them."""
+        if self._descriptor < 0:
             return
         with contextlib.suppress(OSError):
-            self._file.unlink()  # while it is held: who opened it before sees that it is gone, and tries again
-        self._lock.release()
-        self._remove_made()
-
-    def _remove_made(self) -> None:
-        with contextlib.suppress(OSError):  # not empty
-            for parent in self._made:
-                parent.rmdir()
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from None
+            (self.folder / LOCK).unlink()
+        os.close(self._descriptor)
+        self._descriptor = -1
+        for place in self._made:
+            with contextlib.suppress(OSError):  # not empty
+                place.rmdir()

@@ -22,7 +22,7 @@ from sixthsense.figures.run import Run
 from sixthsense.logs.log import Log, read_relations
 from sixthsense.logs.replay_input import ReplayInput, open_recorded, relations_of
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.store import VERDICT_FILE, read_verdict
+from sixthsense.record.store import read_verdict
 from sixthsense.record.trace import Trace
 from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.mapping.mapper import Mapper
@@ -92,10 +92,9 @@ def open_merged(
     InputError for a run whose own map was told broken, unless by `force`.
     """
     for run in (first, second):
-        if not force and (run / VERDICT_FILE).is_file():
-            verdict = read_verdict(run / VERDICT_FILE)
-            if verdict.level == "broken":
-                raise InputError(run, f"found a map that is {verdict}", "one that is good, or `force`")
+        verdict = None if force else read_verdict(run)
+        if verdict is not None and verdict.level == "broken":
+            raise InputError(run, f"found a map that is {verdict}", "one that is good, or `force`")
     settings = [config or load_config(first / "config.toml"), load_config(second / "config.toml")]
     one, other = (open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True))
     merged = merged_log(one, other)
@@ -147,7 +146,8 @@ def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks, for
     ties the runs is told to `watch.say`.
     """
 
-    def check(trace: Trace) -> None:
+    def check(run: Run) -> None:
+        trace = run.trace
         if trace.outcome == "interrupted":
             return
         tied = ties(trace, merged.begin_ns)

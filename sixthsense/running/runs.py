@@ -41,8 +41,8 @@ class RunHooks:
     """slow down to real time"""
     say: Callable[[str], object] | None = None
     """prints the message that kernels are being compiled; without one the bar shows it"""
-    at_end: Callable[[Trace], object] | None = None
-    """called with the trace of a run that is over, before it is kept: an error leaves the run in its `.partial`"""
+    at_end: Callable[[Run], object] | None = None
+    """called with a run that is over, before it is kept: an error leaves the run in its `.partial`"""
 
 
 QUIET = RunHooks(progress=False)
@@ -135,23 +135,16 @@ def _watched(
         if watch.say is None:
             prepare(say, config, of_log)
             say("")
-        hooks: list[OnTick] = [advance, *watch.hooks]
-        if folder is not None:
-            from sixthsense.record.bag import BagWriter
-            from sixthsense.record.store import record_writer
-
-            flush = open_hooks.enter_context(record_writer(folder.partial))
-            bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=flush))
-            hooks = [bag, *hooks]
-        trace = go(loop.combined_hooks(*hooks))
-        if watch.at_end is not None:
-            watch.at_end(trace)
+        recorded = () if folder is None else (folder.record,)
+        trace = go(loop.combined_hooks(*recorded, advance, *watch.hooks))
     from sixthsense.figures.run import Run  # here, since a run that begins need not wait for what shows it at its end
 
     trace.name = name
     run = Run(name, trace, folder=None if folder is None else folder.out)
-    if folder is not None:
-        with deferred_interrupt():  # a Ctrl-C after the run's end does not lose what it has found
+    with deferred_interrupt():  # a Ctrl-C after the run's end does not lose what it has found
+        if watch.at_end is not None:
+            watch.at_end(run)
+        if folder is not None:
             _keep(folder, run, watch.say or warnings.warn)
     return run
 
@@ -159,18 +152,19 @@ def _watched(
 def _keep(folder: RunFolder, run: Run, say: Callable[[str], object]) -> None:
     """Write a run that is over into its folder, its map included, and give the folder its name.
 
-    `say` is told if the memory does not suffice for the picture; the run is kept without it.
+    `say` gets a line on a picture for which the memory does not suffice, and on files of others in the folder.
     """
     from sixthsense.figures.plot import save_map
 
     folder.write(run.trace, run.metrics)
-    picture = folder.partial / "figures" / "map.png"
+    picture = folder.partial / "map.png"
     try:
         save_map(run, picture, _map_title(run))
     except MemoryError:
         picture.unlink(missing_ok=True)
-        say(f"note: out of memory, {folder.out} has no figures/map.png; sixthsense report {folder.out} draws it")
-    folder.finish()
+        say(f"note: out of memory, {folder.out} has no map.png; sixthsense report {folder.out} draws it")
+    if kept := folder.finish():
+        say(f"note: kept in {folder.out}, which it replaces: {', '.join(kept)}")
 
 
 def _map_title(run: Run) -> str:

@@ -90,7 +90,7 @@ def test_a_tum_file_has_its_covariances_beside_it(tmp_path):
 def test_the_folder_of_a_run_has_the_nees_of_its_metrics(tmp_path):
     run = ss.run("rectangle", task="tour", max_time=15.0, out=tmp_path / "run")
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    folder, recorded = str(tmp_path / "run"), tmp_path / "run" / "bag"
+    folder, recorded = str(tmp_path / "run"), run.to_bag(tmp_path / "bag")
     for found in (
         ss.audit(run), ss.audit(folder), ss.audit(folder, folder),
         ss.audit(recorded, recorded, topic="/estimate", truth_topic="/truth"),

@@ -185,7 +185,7 @@ def program(*words: str, **environment: str) -> subprocess.Popen[str]:
 
 
 def makers(of: psutil.Process) -> list[psutil.Process]:
-    return [child for child in of.children(recursive=True) if "spawn_main" in " ".join(child.cmdline())]
+    return [child for child in of.children(recursive=True) if "popen_loky" in " ".join(child.cmdline())]
 
 
 def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
@@ -217,4 +217,4 @@ worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(conf
     assert campaign.returncode == 1 and "Traceback" not in err
     frame = ss.load_campaign("c").frame()
     assert frame["outcome"].tolist() == ["tour ended", "error", "tour ended", "tour ended"]
-    assert frame["error"][1] == "LostWorkerError: 4 workers died in this run"
+    assert frame["error"][1] == "LostWorkerError: 2 workers died in this run"

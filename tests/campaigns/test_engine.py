@@ -1,9 +1,10 @@
 """Rows that outlive their writer, and calls that outlive their process."""
 
 import os
+import subprocess
+import sys
 import time
 from concurrent.futures import Future
-from functools import partial
 from pathlib import Path
 
 import psutil
@@ -44,12 +45,14 @@ def squared(x: float) -> float:
     return x * x
 
 
-def dying(mark: Path, deaths: int) -> int:
+def dying(item: tuple[Path, int]) -> int:
     """The process of the call, which dies in the first ones."""
+    mark, deaths = item
     with mark.open("a") as file:
         file.write(f"{os.getpid()}\n")
     if len(mark.read_text().splitlines()) <= deaths:
         os._exit(3)
+    time.sleep(0.2)
     return os.getpid()
 
 
@@ -69,13 +72,51 @@ def test_calls_end_with_what_they_return_or_raise_and_none_begins_after_its_time
         assert dict(carry_out(pool, squared, {"a": 1.5}, until=time.time() - 1.0)) == {}
 
 
-def test_a_call_whose_process_dies_is_made_again_by_another_up_to_four_times(tmp_path: Path) -> None:
-    with Processes(1) as pool:
-        items = {"thrice": 3, "four times": 4, "never": 0}
-        made = {key: dict(carry_out(pool, partial(dying, tmp_path / key), {key: n}))[key] for key, n in items.items()}
-    assert len(set((tmp_path / "thrice").read_text().split())) == 4
-    assert isinstance(made["four times"].exception(), LostWorkerError)
-    assert str(made["never"].result()) == (tmp_path / "never").read_text().strip()
+def test_a_call_whose_process_dies_is_made_once_more_and_takes_no_other_down(tmp_path: Path) -> None:
+    items = {"once": 1, "always": 99, "never": 0, "slow": 0, "later": 0}
+    with Processes(3) as pool:
+        made = dict(carry_out(pool, dying, {key: (tmp_path / key, deaths) for key, deaths in items.items()}))
+    assert made.keys() == items.keys()
+    assert isinstance(made["always"].exception(), LostWorkerError)
+    assert len((tmp_path / "always").read_text().split()) <= 2
+    for key in items.keys() - {"always"}:
+        assert str(made[key].result()) == (tmp_path / key).read_text().split()[-1]
+
+
+def test_a_program_needs_no_guard_and_nothing_is_left_of_it(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text("""
+from sixthsense.campaigns.engine import Processes, carry_out
+print("begun")
+def doubled(x):
+    return 2 * x
+with Processes(2) as pool:
+    print(sorted(future.result() for _, future in carry_out(pool, doubled, {"a": 1, "b": 2, "c": 3})))
+""")
+    done = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=True, timeout=120)
+    assert (done.stdout, done.stderr) == ("begun\n[2, 4, 6]\n", "")
+
+
+def test_processes_end_with_the_one_that_has_started_them(tmp_path: Path) -> None:
+    mark, program = tmp_path / "mark", tmp_path / "program.py"
+    program.write_text(f"""
+import os, time
+from pathlib import Path
+from sixthsense.campaigns.engine import Processes
+def sleeping():
+    Path({str(mark)!r}).write_text(str(os.getpid()))
+    time.sleep(600)
+with Processes(1) as pool:
+    pool.submit(lambda _: sleeping(), None).result()
+""")
+    with subprocess.Popen([sys.executable, str(program)]) as started:
+        while not (mark.exists() and mark.read_text()):
+            time.sleep(0.01)
+        started.kill()
+    deadline = time.monotonic() + 10.0
+    while psutil.pid_exists(int(mark.read_text())):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_processes_end_with_the_block_also_in_the_middle_of_a_call(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 import sixthsense as ss
 from sixthsense.cli.options import of_section
 from sixthsense.config import Section
-from sixthsense.record.columns import END, KEYFRAME, PLAN, SCAN
+from sixthsense.logs.runfolder import FILE, read_messages
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ["start.md", "concepts/consistency.md", *sorted(f"howto/{page.name}" for page in DOCS.glob("howto/*.md"))]
@@ -70,12 +70,11 @@ def test_every_metric_is_explained():
     assert all(f"\n| `{key}` |" in page for key in run.metrics)
 
 
-def test_every_column_of_the_record_has_its_shape_and_meaning():
-    import reference
-
-    rows = re.findall(r"^\| `(\w+)` \| (.+?) \| .* \| `([\w.]+)` \| (.+?) \|$", reference.record(), re.MULTILINE)
-    assert ("covariance", "d × d", "joint_cov") in [row[:3] for row in rows]  # noqa: RUF001
-    assert len(rows) == sum(len(field.columns) for table in (SCAN, KEYFRAME, PLAN, END) for field in table)
+def test_every_channel_of_a_record_is_on_its_page(tmp_path):
+    ss.run("rectangle", max_time=3.0, out=tmp_path / "run", progress=False)
+    messages, _ = read_messages(tmp_path / "run" / FILE)
+    page = (DOCS / "reference" / "folder.md").read_text(encoding="utf-8")
+    assert {message.channel for message in messages} <= {*re.findall(r"`([\w.]+)`", page)}
 
 
 def test_every_field_of_the_configuration_has_a_row_with_its_meaning():

@@ -10,7 +10,13 @@ from pathlib import Path
 import numpy as np
 from bags import Bag
 
+from sixthsense.config import load_config
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Tick
+from sixthsense.logs.runfolder import FILE
+from sixthsense.record.stream import RecordWriter
+from sixthsense.record.trace import Trace
 
 # Off the axes and off the origin, and no part of it looks like another.
 CORNERS = (
@@ -132,11 +138,11 @@ def run_folder(drive: Drive, folder: Path, shift_m: float) -> None:
     scene_file(folder.with_suffix(".toml"))
     laser = f"beams = {BEAMS}\nfov = {STEP * (BEAMS - 1)}\nmax_range = {MAX_RANGE}\nmount = {MOUNT.array().tolist()}\n"
     (folder / "config.toml").write_text(f'scene = "{folder.with_suffix(".toml")}"\nseed = 5\n[laser]\n{laser}')
-    with Bag(folder / "bag") as bag:
-        for n, (stamp_ns, pose) in enumerate(zip(drive.stamps_ns(), drive.wheels(), strict=True)):
-            bag.odometry(stamp_ns, pose, child="base")
-            truth = bag.header(stamp_ns, "map"), bag.pose(drive.pose(stamp_ns))
-            bag.put("/truth", "geometry_msgs/PoseStamped", stamp_ns, *truth)
-            if n % TICKS == 0:
-                _scan(bag, drive, n // TICKS, shift_m)
-    (folder / "bag" / "bag.mcap").rename(folder / "bag" / "bag_0.mcap")
+    record, trace = RecordWriter(folder / FILE), Trace(load_config(folder / "config.toml"), None, 0.2)
+    for n, (stamp_ns, pose) in enumerate(zip(drive.stamps_ns(), drive.wheels(), strict=True)):
+        scan = None
+        if n % TICKS == 0:
+            ranges = drive.ranges(n // TICKS, shift_m).astype(np.float32)
+            scan = Scan(ranges, np.float32(FIRST), np.float32(STEP), MAX_RANGE, MOUNT)
+        record(Tick(stamp_ns, pose, scan, truth=drive.pose(stamp_ns), log_stamp_s=1e-9 * stamp_ns), trace)
+    record.close()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
 import math
 import re
@@ -13,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from mcap.reader import make_reader
-from rosbags.typesys import Stores, get_typestore
+
+from sixthsense.logs.runfolder import read_messages
 
 Figures = dict[str, str]
 """a line of text by its name"""
@@ -52,46 +49,38 @@ def _json(file: Path) -> Figures:
 
 
 def _lasting(table: dict[str, Any]) -> dict[str, Any]:
-    return {name: _plain(value) for name, value in table.items() if not TIMES.match(name)}
-
-
-def _plain(value: Any) -> Any:
-    """A value of a record, with packed numbers as their count, sum and first ones."""
-    if isinstance(value, str) and len(value) > 10:
-        try:
-            return _summary(np.frombuffer(base64.b64decode(value, validate=True), dtype=np.float64))
-        except (binascii.Error, ValueError):
-            return value
-    return value
+    """The values without times, those of a table in it too."""
+    return {
+        name: _lasting(value) if isinstance(value, dict) else value
+        for name, value in table.items()
+        if not TIMES.match(name)
+    }
 
 
 def _record(file: Path) -> Figures:
-    """The first and last line of each kind."""
-    kinds: dict[str, list[str]] = {}
-    for line in file.read_text(encoding="utf-8").splitlines():
-        table = json.loads(line)
-        if "scan" in table:  # as known when the line is written, which time decides; record.npz and metrics have them
-            del table["since_key"], table["path_length_m"]
-        kinds.setdefault(next(iter(table)), []).append(json.dumps(_lasting(table)))
-    return {f"{kind}, {name}": line for kind, lines in kinds.items() for name, line in _ends(lines).items()}
+    """First and last value of each channel of JSON, and each column of the arrays."""
+    channels: dict[str, list[Any]] = {}
+    for channel, stamp_ns, value in read_messages(file)[0]:
+        channels.setdefault(channel, []).append((stamp_ns, value))
+    found = {}
+    for channel, messages in channels.items():
+        stamps, values = zip(*messages, strict=True)
+        found[f"{channel}, stamps"] = f"{len(stamps)} from {stamps[0]} to {stamps[-1]}"
+        if isinstance(values[0], dict):
+            found |= {f"{channel}, {key}": json.dumps(value) for key, value in _lasting(values[-1]).items()}
+            continue
+        rows = np.concatenate(values)
+        names = [name for name in rows.dtype.names or [""] if not TIMES.match(name)]
+        found |= {f"{channel}, {name}": _summary(rows[name] if name else rows) for name in names}
+    return found
 
 
 def _yaml(file: Path) -> Figures:
-    if file.name == "metadata.yaml":
-        table = yaml.safe_load(file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        return {name: str(table[name]) for name in ("duration", "starting_time", "message_count")}
     return {str(k): line for k, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1)}
-
-
-def _arrays(file: Path) -> Figures:
-    with np.load(file) as arrays:
-        return {name: _summary(arrays[name]) for name in sorted(arrays) if not TIMES.match(name)}
 
 
 def _summary(array: Any) -> str:
     """Shape, first numbers and sum; how far along each axis its numbers lie tells it from its mirror image."""
-    if array.dtype.kind == "U":
-        return json.dumps(array.tolist())
     values = np.nan_to_num(np.asarray(array, dtype=np.float64))
     along = [float((np.abs(values) * place).sum()) for place in np.indices(values.shape, sparse=True)]
     return f"shape {list(values.shape)} first {values.ravel()[:6].tolist()} sum {float(values.sum())} along {along}"
@@ -104,31 +93,8 @@ def _picture(file: Path) -> Figures:
     return {"header": f"{kind.decode()} {int(most)}"} | {f"shade {shade}": line for shade, line in shades.items()}
 
 
-def _bag(file: Path) -> Figures:
-    """The first and last message of each topic."""
-    store, topics = get_typestore(Stores.ROS2_HUMBLE), {}
-    with file.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            line = f"{message.log_time} {_message(store.deserialize_cdr(message.data, schema.name))}"
-            topics.setdefault(channel.topic, []).append(line)
-    return {f"{topic}, {name}": line for topic, lines in sorted(topics.items()) for name, line in _ends(lines).items()}
-
-
-def _message(value: Any) -> str:
-    """The numbers and names of a message, in their order."""
-    if isinstance(value, np.ndarray):
-        return _summary(value)
-    if isinstance(value, list):
-        return f"{len(value)} of ({') ... ('.join(map(_message, value[:1] + value[1:][-1:]))})"
-    if not hasattr(value, "__dataclass_fields__"):
-        return str(value)
-    return " ".join(_message(getattr(value, name)) for name in value.__dataclass_fields__ if name != "__msgtype__")
-
-
 READERS = {
-    ".json": _json, ".jsonl": _record, ".toml": _text, ".tum": _text, ".csv": _text, ".g2o": _text, ".yaml": _yaml,
-    ".npz": _arrays, ".pgm": _picture, ".mcap": _bag,
+    ".json": _json, ".mcap": _record, ".toml": _text, ".tum": _text, ".csv": _text, ".yaml": _yaml, ".pgm": _picture,
 }  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def a_scan(beams: int = 360) -> Scan:
 
 MESSAGES = {
     LASER_SCAN: MAKE.scan(STAMP, a_scan()),
-    ODOMETRY: MAKE.odometry(STAMP, Pose(1.0, -2.0, 0.7), None),
+    ODOMETRY: MAKE.odometry(STAMP, Pose(1.0, -2.0, 0.7)),
     TRANSFORMS: MAKE.transform(STAMP, "base_link", "laser", Pose(0.1, 0.0, 3.0)),
     TWIST: MAKE.twist(0.25, -0.5),
     TWIST_STAMPED: MAKE.twist_stamped(STAMP, "base_link", 0.25, -0.5),

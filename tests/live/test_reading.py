@@ -53,7 +53,7 @@ def laser(max_range: float | None = None) -> LaserReader:
 
 
 def odometry_message(**changes: Any) -> bytes:
-    message = MAKE.odometry(STAMP, Pose(1.0, 2.0, 0.5), None)
+    message = MAKE.odometry(STAMP, Pose(1.0, 2.0, 0.5))
     for name, value in changes.items():
         setattr(message, name, value)
     return MAKE.serialized(message, ODOMETRY)

@@ -91,7 +91,7 @@ class Bench:
         stamp_ns = self.began + self.now_ms * MS
         found = []
         if self.has_odometry:
-            odometry = MAKE.odometry(stamp_ns, self.off @ self.pose_at(self.now_ms), None)
+            odometry = MAKE.odometry(stamp_ns, self.off @ self.pose_at(self.now_ms))
             odometry.header.frame_id = "wheels"
             for name in self.publishers:
                 found.append((False, MAKE.serialized(odometry, ODOMETRY), name))
@@ -292,7 +292,7 @@ class Driver:
         self.truths[stamp_ns] = tick.truth
         pose = tick.odometry if self.name == "driver" else self.T_anew_world @ tick.odometry
         self.sent[stamp_ns] = pose
-        found = [(False, MAKE.serialized(MAKE.odometry(stamp_ns, pose, None), ODOMETRY))]
+        found = [(False, MAKE.serialized(MAKE.odometry(stamp_ns, pose), ODOMETRY))]
         if tick.scan is not None:
             found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, tick.scan), LASER_SCAN)))
         return [(is_scan, Message(data, self.name)) for is_scan, data in found]

@@ -42,7 +42,7 @@ def tilt(orientation: Any, quaternion: list[float]) -> None:
 def test_odometry_comes_back_to_the_nanosecond_and_its_heading_is_that_of_a_tilted_quaternion(
     stamp, pose, tilted, size
 ):
-    message = MAKE.odometry(stamp, pose, None)
+    message = MAKE.odometry(stamp, pose)
     found = MessageReader().odometry(MAKE.serialized(message, ODOMETRY))
     assert found == (stamp, pose, "odom", "base_link")
     tilt(message.pose.pose.orientation, turned(pose.theta, tilted, size))

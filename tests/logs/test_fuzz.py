@@ -42,11 +42,11 @@ WORDS = [b"[" * 3000, b"{a=" * 100, b"a." * 100, b'"a\\nb" = 1\n', b"\x00", b"\r
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory) -> bytes:
-    """The bag of a short run."""
+def record(tmp_path_factory) -> bytes:
+    """The record of a short run."""
     out = tmp_path_factory.mktemp("run") / "run"
     ss.run("rectangle", task="tour", max_time=1.0, laser={"beams": 4, "fov": 1.5}, out=out, progress=False)
-    return (out / "bag" / "bag_0.mcap").read_bytes()
+    return (out / "record.mcap").read_bytes()
 
 
 def written(folder: Path, name: str, data: bytes) -> Path:
@@ -66,8 +66,8 @@ def read_image(folder: Path, data: bytes) -> object:
     return load_scene(written(folder, "m.yaml", MAP.encode()))
 
 
-def read_bag(folder: Path, data: bytes) -> object:
-    written(folder, "bag/bag_0.mcap", data)
+def read_record(folder: Path, data: bytes) -> object:
+    written(folder, "record.mcap", data)
     return read_run(folder, LASER)
 
 
@@ -80,7 +80,7 @@ PARSERS = {
     "gz": (gzip.compress(CARMEN, mtime=0), lambda folder, data: open_log(written(folder, "x.log.gz", data), LASER)),
     "relations": (RELATIONS, lambda folder, data: read_relations(written(folder, "x.relations", data))),
     "config": (CONFIG, lambda folder, data: load_config(written(folder, "c.toml", data))),
-    "bag": (None, read_bag),
+    "record": (None, read_record),
 }
 
 
@@ -105,9 +105,9 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("name", PARSERS)
-def test_damaged_files_and_random_bytes_give_a_result_or_one_line(name, bag):
+def test_damaged_files_and_random_bytes_give_a_result_or_one_line(name, record):
     seed, read = PARSERS[name]
-    seed = seed or bag
+    seed = seed or record
     with tempfile.TemporaryDirectory() as folder:
         read(Path(folder), seed)
         files = st.integers(0, 2**32).map(lambda number: damaged(seed, random.Random(number)))
@@ -143,7 +143,7 @@ BAD_FILES = [
     ("replay x.log --relations r", {"x.log": "", "r": NOISE}, "r line 1: found "),
     ("replay x.bag", {"x.bag": NOISE}, "x.bag: cannot be read as a bag"),
     ("replay x.db3", {"x.db3": NOISE}, "x.db3: cannot be read as a bag"),
-    ("replay run", {"run/config.toml": "", "run/bag/bag_0.mcap": NOISE}, "run/bag/bag_0.mcap: is not an MCAP file"),
+    ("replay run", {"run/config.toml": "", "run/record.mcap": NOISE}, "run/record.mcap: is not an MCAP file"),
     ("report run", {"run/config.toml": NOISE}, "run/config.toml: is not UTF-8 text"),
     ("run a\nb.toml", {}, r"scene: found 'a\nb.toml', allowed: a name without line breaks"),
 ]

@@ -83,7 +83,7 @@ def test_a_replay_does_not_write_over_its_own_log(tmp_path: Path) -> None:
     log = tmp_path / "x.partial"
     check_out(log, tmp_path / "y")
     check_out(log, None)
-    for path in (log, log / "bag" / "bag_0.mcap"):
+    for path in (log, log / "record.mcap"):
         with pytest.raises(InputError, match=r"whose \.partial is the log itself"):
             check_out(path, tmp_path / "x")
 

@@ -191,10 +191,11 @@ def test_the_command_explores_by_default_and_records_unseen_places(
     Path("scene.toml").write_text(two_rooms(0.3))
     assert cli.main(["run", "scene.toml", "--out", "run", "--features.landmarks", "both"]) == cli.DONE
     out = capsys.readouterr().out
-    said = r"\nleft unseen +\d places?, \S+ m², the largest unreachable( behind a gap of \S+ m)?; places_left.csv "
+    said = r"\nleft unseen +\d places?, \S+ m², the largest unreachable( behind a gap of \S+ m)?; --verbose "
     assert re.search(said, out)
     metrics = json.loads(Path("run/metrics.json").read_text())
     assert metrics["outcome"] == "explored in part"
+    assert cli.main(["export", "run", "--csv"]) == cli.DONE
     with Path("run/places_left.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == metrics["places_left"] >= 1

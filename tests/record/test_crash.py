@@ -16,9 +16,9 @@ from sixthsense import cli
 from sixthsense.config import preset
 from sixthsense.figures.plot import save_map
 from sixthsense.figures.run import load
-from sixthsense.logs.runfolder import read_run
+from sixthsense.logs.runfolder import FILE, read_run
 from sixthsense.loop.run import replay, run
-from sixthsense.record import bag, exports
+from sixthsense.record import exports, folder
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -29,17 +29,17 @@ RUN = ["run", "rectangle", "--task", "tour", "--max-time", "3"]
 CHILD = """
 import mmap, struct, sys
 from sixthsense import cli
-from sixthsense.record import bag
+from sixthsense.record.stream import RecordWriter
 with open(sys.argv[1], "r+b") as file:
     notes = mmap.mmap(file.fileno(), 16)
-call, flush = bag.BagWriter.__call__, bag.BagWriter._flush
+call, flush = RecordWriter.__call__, RecordWriter._flush
 def noting_call(self, tick, trace):
     notes[0:8] = struct.pack("<q", tick.stamp_ns)
     call(self, tick, trace)
-def noting_flush(self, trace):
-    flush(self, trace)
+def noting_flush(self):
+    flush(self)
     notes[8:16] = notes[0:8]
-bag.BagWriter.__call__, bag.BagWriter._flush = noting_call, noting_flush
+RecordWriter.__call__, RecordWriter._flush = noting_call, noting_flush
 sys.exit(cli.main(sys.argv[2:]))
 """
 
@@ -51,11 +51,11 @@ class Kill:
     partial: Path
     """the folder"""
     recorded_ns: int
-    """stamp of the last tick passed to the bag writer"""
+    """stamp of the last tick that was recorded"""
     flushed_ns: int
     """stamp of the last flushed tick"""
     lost_wall_s: float
-    """time since bag and record were both last written"""
+    """time since the record was last written"""
 
 
 def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
@@ -76,8 +76,7 @@ def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
         child.wait()
     recorded_ns, flushed_ns = struct.unpack("<qq", notes.read_bytes())
     partial = folder / "run.partial"
-    written = min((partial / name).stat().st_mtime for name in ("bag/bag_0.mcap", "record.jsonl"))
-    return Kill(partial, recorded_ns, flushed_ns, killed - written)
+    return Kill(partial, recorded_ns, flushed_ns, killed - (partial / FILE).stat().st_mtime)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +113,7 @@ def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")
 def test_a_full_disk_ends_the_run_in_one_line(tmp_path, complaint, monkeypatch):
-    monkeypatch.setattr(bag, "_FILE", "/dev/full")
+    monkeypatch.setattr(folder, "FILE", "/dev/full")
     said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False)
     assert "/dev/full: No space left on device" in said
     assert not (tmp_path / "x").exists()

@@ -9,20 +9,19 @@ from sixthsense.config import Config, load_config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.plot import save_map
+from sixthsense.logs.runfolder import FILE
 from sixthsense.loop.run import run
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
-from sixthsense.record.writing import FolderInUseError, FolderLock, whole
+from sixthsense.record.writing import LOCK, FolderInUseError, FolderLock, whole
 
 CORNERS = {"landmarks": "corners"}
 CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)
 RUN = ("run", "rectangle", "--task", "tour", "--max-time", "2")
 FILES = [
-    "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz",
-    "landmarks.csv", "map.pgm", "map.yaml", "metrics.json", "record.jsonl", "record.npz",
-    "smoothed.tum", "truth.tum", "verdict.json",
+    "config.toml", "estimate.tum", "landmarks.csv", "map.pgm", "map.png", "map.yaml", "metrics.json", "record.mcap",
+    "smoothed.tum", "truth.tum",
 ]  # fmt: skip
-
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -37,7 +36,7 @@ def out(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
     """A finished run's folder."""
     folder = RunFolder(tmp_path_factory.mktemp("runs") / "some", CONFIG)
     folder.write(trace, measure(trace))
-    save_map(trace, folder.partial / "figures" / "map.png", "a title")
+    save_map(trace, folder.partial / "map.png", "a title")
     folder.finish()
     yield folder.out
 
@@ -46,53 +45,10 @@ def entries(folder: Path) -> list[str]:
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
 
 
-def test_a_finished_folder_holds_every_file_and_nothing_beside_it(out: Path) -> None:
-    assert entries(out) == sorted(FILES)
-    assert [p.name for p in out.parent.iterdir()] == ["some"]
-
-
-def test_until_it_is_finished_the_folder_is_called_partial_and_knows_its_configuration(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "deep" / "run", Config())
-    assert entries(tmp_path) == ["deep", "deep/.run.lock", "deep/run.partial", "deep/run.partial/config.toml"]
-    folder.finish()
-    assert entries(tmp_path) == ["deep", "deep/run", "deep/run/config.toml"]
-
-
-def test_a_failure_leaves_the_old_folder_whole(tmp_path: Path, trace: Trace) -> None:
-    old = RunFolder(tmp_path / "run", Config(seed=1))
-    (old.partial / "record.jsonl").write_text('{"format":2,"radius_m":0.2,"scene":null}\n')
-    old.finish()
-    folder = RunFolder(tmp_path / "run", Config(seed=2), overwrite=True)
-    broken = dataclasses.replace(trace, stamps_ns=trace.stamps_ns[:-1])
-    with pytest.raises(ValueError):
-        folder.write(broken, {})
-    assert entries(tmp_path / "run") == ["config.toml", "record.jsonl"]
-    assert seed_of(tmp_path / "run") == 1
-
-
-def test_what_is_no_run_is_not_taken_for_a_killed_one(tmp_path: Path) -> None:
-    (tmp_path / "run.partial").mkdir()
-    (tmp_path / "run.partial" / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"is not a run folder, it holds no config.toml of a run, allowed: "):
-        RunFolder(tmp_path / "run", Config(), overwrite=True)
-    assert entries(tmp_path / "run.partial") == ["notes.txt"]
-
-
-# --- a run replaces an earlier run, and nothing else
-
-BEGIN = '{"format":2,"radius_m":0.2,"scene":null}\n'
-WRITTEN = [
-    *FILES, "truth.tum", "places_left.csv", "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html",
-    "figures/animation.gif", "figures/map.svg", "figures/error.pdf", "figures/rpe.png", "figures/nees.png",
-    "figures/nis.png", "figures/stages.png", "figures/coverage.png", "figures/exploration.png",
-]  # fmt: skip
-"""what runs and their reports write, at most"""
-
-
 def made(out: Path, seed: int = 1) -> Path:
     """The folder of a run that has begun its record."""
     folder = RunFolder(out, Config(seed=seed))
-    (folder.partial / "record.jsonl").write_text(BEGIN)
+    (folder.partial / FILE).write_text("a record")
     folder.finish()
     return out
 
@@ -105,40 +61,65 @@ def seed_of(folder: Path) -> int:
     return load_config(folder / "config.toml").seed
 
 
-def test_a_folder_with_all_that_runs_and_their_reports_write_is_replaced(here: Path) -> None:
+def test_a_finished_folder_holds_every_file_and_nothing_beside_it(out: Path) -> None:
+    assert entries(out) == FILES
+    assert [p.name for p in out.parent.iterdir()] == ["some"]
+
+
+def test_until_it_is_finished_the_folder_is_called_partial_and_knows_its_configuration(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "deep" / "run", Config())
+    partial = "deep/run.partial"
+    assert entries(tmp_path) == ["deep", partial, f"{partial}/{LOCK}", f"{partial}/config.toml"]
+    folder.finish()
+    assert entries(tmp_path) == ["deep", "deep/run", "deep/run/config.toml"]
+
+
+def test_a_failure_leaves_the_old_folder_whole(here: Path, trace: Trace) -> None:
+    made(here / "run")
+    broken = dataclasses.replace(trace, stamps_ns=trace.stamps_ns[:-1])
+    with pytest.raises(ValueError), RunFolder(here / "run", Config(seed=2), overwrite=True) as folder:
+        folder.write(broken, {})
+    assert entries(here / "run") == ["config.toml", FILE] and seed_of(here / "run") == 1
+
+
+# --- a run replaces an earlier run, and nothing else
+
+
+def test_a_run_with_its_exports_is_replaced_and_what_else_lies_there_is_kept_and_named(here: Path, capsys) -> None:
     out = made(here / "x")
-    for name in {*WRITTEN} - {"config.toml", "record.jsonl", "figures"}:
-        (out / name).parent.mkdir(exist_ok=True)
-        (out / name).write_text("by a run")
-    with RunFolder(out, Config(seed=2), overwrite=True) as folder:
-        folder.finish()
-    assert entries(out) == ["config.toml"] and seed_of(out) == 2
-    assert [path.name for path in here.iterdir()] == ["x"]
+    (out / "figures").mkdir()
+    (out / "figures" / "report.html").write_text("by a report")
+    (out / "graph.g2o").write_text("by an export")
+    (out / "notes.txt").write_text("mine")
+    (out / "more").mkdir()
+    (out / "more" / "film.webp").write_text("mine")
+    assert cli.main([*RUN, "--seed", "3", "--out", "x", "--overwrite"]) == cli.DONE
+    assert "note: kept in x, which it replaces: more, notes.txt\n" in capsys.readouterr().err
+    assert entries(out) == sorted([*FILES, "more", "more/film.webp", "notes.txt"])
+    assert (out / "notes.txt").read_text() == (out / "more" / "film.webp").read_text() == "mine"
+    assert seed_of(out) == 3 and [path.name for path in here.iterdir()] == ["x"]
 
 
 FOREIGN = {
-    "a file": {"notes.txt": "mine"}, "a figure": {"figures/mine.png": "mine"},
-    "a figure of another form": {"figures/map.txt": "mine"}, "a figure elsewhere": {"map.png": "mine"},
-    "a second bag": {"bag/bag_1.mcap": "mine"}, "a folder": {"more/": ""}, "a folder named as a file": {"map.pgm/": ""},
-    "other settings": {"config.toml": "[net]\n"},
-    "saved settings of no version": {"config.toml": "seed = 3\n[versions]\nsixthsense = 1\n"},
-    "another record": {"record.jsonl": '{"a": 1}\n'},
+    "no configuration": None, "other settings": "[net]\n",
+    "saved settings of no version": "seed = 3\n[versions]\nsixthsense = 1\n", "no TOML": "][",
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("place", ["x", "x.partial"])
 @pytest.mark.parametrize("name", FOREIGN)
-def test_what_no_run_has_written_is_never_removed(name: str, here: Path) -> None:
-    out = made(here / "x")
-    for file, text in FOREIGN[name].items():
-        (out / file).parent.mkdir(exist_ok=True)
-        (out / file).mkdir() if file.endswith("/") else (out / file).write_text(text)
+def test_a_folder_of_others_is_never_taken_for_that_of_a_run(name: str, place: str, here: Path) -> None:
+    (here / place).mkdir()
+    (here / place / "notes.txt").write_text("mine")
+    if (text := FOREIGN[name]) is not None:
+        (here / place / "config.toml").write_text(text)
     before = content(here)
-    with pytest.raises(InputError, match=r"^out: .*x is not a run folder, it holds "):
-        RunFolder(out, Config(), overwrite=True)
+    with pytest.raises(InputError, match=r"^out: .* is not a run folder, it holds no config.toml of a run, allowed: "):
+        RunFolder(here / "x", Config(), overwrite=True)
     assert content(here) == before
 
 
-@pytest.mark.parametrize("name", ["link", "file", "link to the old run", "partial link", "no overwrite", "no name"])
+@pytest.mark.parametrize("name", ["link", "file", "partial link", "no overwrite", "no name"])
 def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) -> None:
     made(here / "other")
     out = here / "x"
@@ -146,7 +127,7 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
         out.write_text("mine")
     elif name == "partial link":
         (here / "x.partial").symlink_to("other")
-    elif name.startswith("link"):
+    elif name == "link":
         out.symlink_to("other")
     elif name == "no overwrite":
         made(out)
@@ -163,34 +144,39 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
 def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_the_evidence(
     error: BaseException, has_record: bool, is_left: bool, here: Path
 ) -> None:
-    with pytest.raises(type(error)), RunFolder(here / "x", Config()) as folder:
-        (folder.partial / "record.jsonl").write_text(BEGIN if has_record else "")
+    with pytest.raises(type(error)), RunFolder(here / "deep" / "x", Config()) as folder:
+        (folder.partial / FILE).write_text("a record" if has_record else "")
         raise error
-    assert (here / "x.partial").exists() is is_left and not (here / ".x.lock").exists()
+    partial = here / "deep" / "x.partial"
+    assert partial.exists() is partial.parent.exists() is is_left and not (partial / LOCK).exists()
 
 
 def test_a_folder_that_has_meanwhile_become_something_else_is_not_replaced(here: Path) -> None:
     with RunFolder(made(here / "x"), Config(seed=2), overwrite=True) as folder:
-        (here / "x" / "notes.txt").write_text("mine")
-        with pytest.raises(InputError, match=r"holds notes.txt.*; the run is in .*x.partial$"):
+        (here / "x" / "config.toml").write_text("mine = true\n")
+        with pytest.raises(InputError, match=r"holds no config.toml of a run.*; the run is in .*x.partial$"):
             folder.finish()
-    assert seed_of(here / "x") == 1 and seed_of(here / "x.partial") == 2
+    assert (here / "x" / "config.toml").read_text() == "mine = true\n" and seed_of(here / "x.partial") == 2
 
 
 def test_the_second_of_two_runs_into_one_folder_is_told(here, complaint):
     with RunFolder(here / "x", Config(seed=1)) as first:
-        said = complaint(*RUN, "--out", "x")
-        assert said == "--out: found another process that writes x, allowed: another folder, or wait for its end"
+        said = complaint(*RUN, "--out", "x", writes_nothing=False)
+        assert said == (
+            "--out: found another process that writes x.partial, allowed: another folder, or wait for its end"
+        )
         assert seed_of(first.partial) == 1
     assert cli.main([*RUN, "--seed", "2", "--out", "x"]) == cli.DONE
     assert seed_of(here / "x") == 2
 
 
-def test_what_a_killed_run_has_recorded_is_kept_under_another_name_and_the_user_is_told(here, capsys):
+def test_what_a_stopped_run_has_recorded_is_kept_under_another_name_and_the_user_is_told(here, capsys):
     for seed in (1, 2):
-        made(here / "killed", seed).rename(here / "x.partial")
+        made(here / "stopped", seed).rename(here / "x.partial")
+        (here / "x.partial" / LOCK).write_text("")  # a killed process leaves it, not locked
         assert cli.main([*RUN, "--seed", "3", "--out", "x", "--overwrite"]) == cli.DONE
-        assert f"note: x.partial of a killed run is kept as x.{seed}.partial\n" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert f"note: x.partial of a run that did not finish is kept as x.{seed}.partial\n" in said
     assert [seed_of(here / name) for name in ("x", "x.1.partial", "x.2.partial")] == [3, 1, 2]
     with RunFolder(here / "y", Config(seed=4)):
         pass  # killed before its first record
@@ -214,28 +200,6 @@ def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, mon
     assert sorted(path.name for path in here.iterdir()) == ["x", "x.partial"]
 
 
-@pytest.mark.parametrize("new_has_its_name", [False, True])
-def test_a_replacement_that_was_killed_is_completed_by_the_next_run(new_has_its_name, here):
-    for name, seed in (("x" if new_has_its_name else "x.partial", 2), (".x.replaced", 1)):
-        made(here / name, seed)
-    if new_has_its_name:
-        (here / ".x.replaced" / "config.toml").unlink()  # half removed
-    folder = RunFolder(here / "x", Config(seed=3), overwrite=True)
-    assert seed_of(here / "x") == (2 if new_has_its_name else 1)
-    assert len(folder.notes) == (0 if new_has_its_name else 2)
-    assert not (here / ".x.replaced").exists()
-    assert (here / "x.1.partial").exists() is not new_has_its_name
-
-
-def test_a_replacement_is_not_completed_over_what_someone_has_written_there(here: Path) -> None:
-    made(here / "x")
-    made(here / ".x.replaced", 2)
-    (here / ".x.replaced" / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"holds notes.txt, which no run writes, allowed: move it away"):
-        RunFolder(here / "x", Config(), overwrite=True)
-    assert (here / ".x.replaced" / "notes.txt").exists()
-
-
 def test_a_file_is_there_as_a_whole_or_not_at_all_and_its_error_names_it(here: Path) -> None:
     with whole(here / "a.txt") as file:
         file.write_text("new")
@@ -252,5 +216,5 @@ def test_a_lock_leaves_no_folder_in_which_nothing_was_written(here: Path) -> Non
     with FolderLock(here / "deep" / "run"):
         with pytest.raises(FolderInUseError):
             FolderLock(here / "deep" / "run")
-        assert entries(here) == ["deep", "deep/.run.lock"]
+        assert entries(here) == ["deep", "deep/run", f"deep/run/{LOCK}"]
     assert entries(here) == []

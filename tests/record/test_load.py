@@ -3,16 +3,16 @@
 import json
 import shutil
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import sixthsense as ss
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.run import Run
-from sixthsense.record.store import END_FILE, FILE, record_writer
+from sixthsense.logs.runfolder import FILE
 from sixthsense.record.trace import Stopwatch
 
 
@@ -23,7 +23,7 @@ def simulated(request, tmp_path_factory) -> Run:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory):
     """A short tour's folder."""
     out = tmp_path_factory.mktemp("runs") / "tour"
     ss.run("rectangle", task="tour", max_time=6.0, seed=4, out=out)
@@ -39,91 +39,40 @@ def test_a_simulated_run_is_read_back_with_its_metrics_which_are_strict_json(sim
     stated = json.loads((simulated.folder / "metrics.json").read_text(), parse_constant=refuse)
     assert loaded.missing == ()
     assert loaded.metrics == stated
+    assert loaded.verdict.level == simulated.verdict.level
     # The record has no bearings of observations, which tell a landmark's identity.
     measured = {key: value for key, value in stated.items() if key != "landmark_nees_mean"}
     assert json.loads(json.dumps(measure(loaded.trace))) == measured
 
 
-def copied(folder: Path, out: Path, *without: str) -> Path:
-    return Path(shutil.copytree(folder, out, ignore=lambda where, names: [name for name in names if name in without]))
-
-
 def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp_path):
-    whole = ss.load(folder)
-    written = ("metrics.json", "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", END_FILE)
-    killed = copied(folder, tmp_path / "cut.partial", *written)
-    lines = (killed / FILE).read_bytes().splitlines(keepends=True)
-    (killed / FILE).write_bytes(b"".join(lines[:30]) + lines[30][:20])
+    whole, killed = ss.load(folder), tmp_path / "cut.partial"
+    shutil.copytree(folder, killed)
+    content = (killed / FILE).read_bytes()
+    (killed / FILE).write_bytes(content[: len(content) * 2 // 3])
     run = ss.load(killed)
     count = len(run.trace.stamps_ns)
     assert (run.name, run.outcome) == ("cut", "interrupted")
     assert 0 < count < len(whole.trace.stamps_ns)
     assert np.array_equal(run.trace.estimates, whole.trace.estimates[:count])
-    files = [part.rpartition("(")[2].rstrip(")") for part in run.missing]
-    assert files == [END_FILE, END_FILE, "metrics.json"]
-    assert "the run's end" in run.missing[0]
-    assert all(part in repr(run) for part in run.missing)
+    assert "the run's end" in run.missing[0] and all(part in repr(run) for part in run.missing)
     assert {"nis_mean_per_dof", "ate_rmse_m", "pose_nees_world_mean", "scan_ms_p50", "coverage"} <= set(run.metrics)
     assert run.metrics.keys().isdisjoint({"wall_time_s", "landmarks", "landmarks_culled", "walls_merged"})
     for kind in ("map", "error", "nees", "nis", "stages", "coverage"):
         assert run.plot(kind).png()
-    with pytest.raises(InputError, match=r"exploration: found a folder without the grid map \(record.npz\), allowed: "):
+    with pytest.raises(InputError, match=r"exploration: found a folder without the grid map, allowed: "):
         run.plot("exploration")
 
 
-def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_left(tmp_path):
-    from sixthsense.loop.run import run
-
-    def scans() -> int:
-        return sum(line.startswith(b'{"scan"') for line in (tmp_path / FILE).read_bytes().splitlines())
-
-    with record_writer(tmp_path) as flush:
-
-        def watch(tick, trace):
-            if tick.stamp_ns < 1_000_000_000:
-                flush(trace)
-                assert scans() == len(trace.stamps_ns)
-
-        trace = run(ss.preset(scene="rectangle", task="tour", max_time=2.0), watch)
-        assert scans() < len(trace.stamps_ns)
-    assert scans() == len(trace.stamps_ns)
-
-
-@pytest.mark.parametrize("line", [b"", b"[]", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"plan": [[1]]}', b'{"scan": "3"}'])
-def test_a_line_that_says_nothing_is_named(folder, tmp_path, line):
-    damaged = copied(folder, tmp_path / "damaged")
-    lines = (damaged / FILE).read_bytes().splitlines()
-    lines[11] = line
-    (damaged / FILE).write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(ss.InputError, match=r"record\.jsonl: line 12: found .*, allowed: a line of a run") as told:
-        ss.load(damaged)
-    assert "\n" not in str(told.value) and len(str(told.value)) < 600
-
-
-@pytest.mark.parametrize(("text", "said"), [
-    ("[1", "found no JSON"), ("[1]", "found no table"), ('{"outcome": 3}', "outcome: found 3, allowed: text"),
-    ('{"plans": "x"}', "plans: found 'x', allowed: a number"), (f'{{"plans": {"9" * 999}}}', "allowed: a number"),
-])  # fmt: skip
-def test_damaged_metrics_are_named(folder, tmp_path, text, said):
-    damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
-    (damaged / "metrics.json").write_text(text)
-    with pytest.raises(ss.InputError, match=said):
-        ss.load(damaged)
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("name", [FILE, END_FILE])
-def test_files_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):
-    rng = np.random.default_rng(seed)
-    damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
-    content = bytearray((damaged / name).read_bytes())
-    for place in rng.integers(len(content), size=3):
-        content[place] = rng.integers(256)
-    (damaged / name).write_bytes(content)
-    try:
-        ss.load(damaged)
-    except ss.InputError as error:
-        assert "\n" not in str(error) and name in str(error)
+def test_a_record_is_whole_for_programs_that_read_mcap(folder):
+    with (folder / FILE).open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        found = [message for _, channel, message in make_reader(stream).iter_messages(topics=["end"])]
+    counts = {channel.topic: summary.statistics.channel_message_counts[k] for k, channel in summary.channels.items()}
+    trace = ss.load(folder).trace
+    assert counts["estimate"] == counts["scan"] == len(trace.stamps_ns)
+    assert counts["keyframe"] == counts["keyframe.observations"] == len(trace.key_stamps_ns)
+    assert json.loads(found[0].data)["outcome"] == trace.outcome
 
 
 def test_a_folder_keeps_the_true_tracks_of_people_and_repeats_the_run(tmp_path):

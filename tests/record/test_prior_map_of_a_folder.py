@@ -10,10 +10,12 @@ from traces import CONFIG, trace_of, written
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
-from sixthsense.record.store import END_FILE, load_record, prior_start, read_prior_map
+from sixthsense.core.source import Tick
+from sixthsense.logs.runfolder import FILE
+from sixthsense.record.store import prior_start, read_prior_map
+from sixthsense.record.stream import RecordWriter
 from sixthsense.record.trace import Trace
-
-Arrays = dict[str, np.ndarray]
+from sixthsense.slam.estimators import Estimate
 
 
 @pytest.fixture
@@ -25,13 +27,6 @@ def trace() -> Trace:
 def folder(trace: Trace) -> Iterator[Path]:
     with written(trace) as out:
         yield out
-
-
-def change(file: Path, by: Callable[[Arrays], object]) -> None:
-    with np.load(file) as content:
-        arrays = dict(content)
-    by(arrays)
-    np.savez(file, **arrays)
 
 
 def test_the_map_of_a_folder_has_its_landmarks_their_covariance_records_and_cells(folder: Path, trace: Trace) -> None:
@@ -48,75 +43,76 @@ def test_the_map_of_a_folder_has_its_landmarks_their_covariance_records_and_cell
         assert np.array_equal(getattr(prior.evidence, name), getattr(expected, name)), name
 
 
-def test_the_digest_of_a_map_changes_with_each_of_its_arrays_and_with_nothing_else(folder: Path) -> None:
-    digests = [read_prior_map(folder).digest]
-    change(folder / END_FILE, lambda arrays: arrays.update(trajectory=arrays["trajectory"] + 1))
-    assert read_prior_map(folder).digest == digests[0]
-    for array in ("mean", "sigmas_m", "hits"):
-        change(folder / END_FILE, lambda arrays, array=array: arrays.update({array: arrays[array] + 1}))  # type: ignore[misc]
-        digests.append(read_prior_map(folder).digest)
-    assert len(set(digests)) == 4
+def test_the_digest_of_a_map_changes_with_each_of_its_arrays_and_with_nothing_else(trace: Trace) -> None:
+    def digest() -> str:
+        with written(trace) as folder:
+            return read_prior_map(folder).digest
+
+    digests = [digest()]
+    trace.trajectory = trace.trajectory + 1
+    trace.outcome = "explored"
+    assert digest() == digests[0]
+    changes: list[Callable[[], object]] = [
+        lambda: trace.final.landmarks.__iadd__(1),
+        lambda: trace.joint_cov.__imul__(2),
+        lambda: setattr(trace.records[4], "sigma_m", 7.0),
+        lambda: setattr(trace, "grid", None),
+    ]
+    for change in changes:
+        change()
+        digests.append(digest())
+    assert len(set(digests)) == 5
 
 
-def emptied(arrays: Arrays) -> None:
-    arrays.update(ids=arrays["ids"][:0], walls=arrays["walls"][:0], mean=arrays["mean"][:3])
-    arrays["covariance"] = arrays["covariance"][:3, :3]
+def without_landmarks(trace: Trace) -> None:
+    trace.joint_cov, trace.records = trace.joint_cov[:3, :3], {}
+    trace.final = Estimate.of_pose(trace.final.pose, trace.joint_cov)
 
 
-def indefinite(arrays: Arrays) -> None:
-    arrays["covariance"][4, 4] *= -1.0
+def indefinite(trace: Trace) -> None:
+    trace.joint_cov[4, 4] *= -1.0
 
 
-REFUSED = {
-    "no landmarks": (emptied, "a map without landmarks"),
-    "a landmark twice": (lambda a: a["ids"].__setitem__(1, a["ids"][0]), "a landmark twice"),
-    "an unknown landmark": (lambda a: a["ids"].__setitem__(1, 99), "landmarks that are in no record"),
+REFUSED: dict[str, tuple[Callable[[Trace], object], str]] = {
+    "no landmarks": (without_landmarks, "a map without landmarks"),
+    "an unknown landmark": (lambda trace: trace.records.pop(13), "landmarks without a record"),
     "no covariance": (indefinite, "allowed: a covariance"),
-    "another number of rows": (lambda a: a.update(mean=a["mean"][:-2], ids=a["ids"][1:], walls=a["walls"][1:]),
-                               "covariance of shape"),
-    "a number missing": (lambda a: a.update(mean=a["mean"][:-1]), "mean of shape"),
-    "no finite number": (lambda a: a["origin"].__setitem__(0, np.nan), "origin of shape"),
-    "another type": (lambda a: a.update(hits=a["hits"].astype(float)), "hits of shape"),
-    "two sizes of a map": (lambda a: a.update(seen=a["seen"][1:]), "seen of shape"),
-    "no array": (lambda a: a.pop("extents"), "found extents"),
-}  # fmt: skip
+    "a covariance of others": (
+        lambda trace: setattr(trace, "joint_cov", trace.joint_cov[:9, :9]),
+        "of other landmarks",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_map_that_is_damaged_is_refused_and_its_file_named(name: str, folder: Path) -> None:
+def test_a_map_that_is_wrong_is_refused(name: str, folder: Path, trace: Trace) -> None:
     by, said = REFUSED[name]
-    read_prior_map(folder)
-    change(folder / END_FILE, by)
-    with pytest.raises(InputError, match=said) as told:
+    by(trace)
+    RecordWriter(folder / FILE).end(trace, {})
+    with pytest.raises(InputError, match=said):
         read_prior_map(folder)
-    assert name == "no landmarks" or END_FILE in str(told.value)
 
 
-def test_links_to_keyframes_that_are_not_there_are_refused(folder: Path) -> None:
-    change(folder / END_FILE, lambda arrays: arrays["link_ends"].__setitem__((0, 1), 4))
-    with pytest.raises(InputError, match=r"record\.npz: found link_ends to 4 of 4 keyframes"):
-        load_record(folder)
-
-
-def test_landmarks_of_another_run_are_refused(folder: Path) -> None:
-    change(folder / END_FILE, lambda arrays: arrays["ids"].__setitem__(1, 99))
-    with pytest.raises(InputError, match=r"record\.npz: found landmarks that are in no record of them"):
-        load_record(folder)
-
-
-@pytest.mark.parametrize("file", ["config.toml", "record.npz"])
-def test_a_folder_without_a_part_of_the_map_is_refused(file: str, folder: Path) -> None:
-    (folder / file).unlink()
-    with pytest.raises(InputError, match=f"found no {file}"):
-        read_prior_map(folder)
+def test_a_folder_without_a_part_of_the_map_is_refused(folder: Path, tmp_path: Path, trace: Trace) -> None:
+    shutil.copy(folder / "config.toml", tmp_path)
+    record = RecordWriter(tmp_path / FILE)
+    record(Tick(1, Pose()), trace)
+    record.close()
+    with pytest.raises(InputError, match="found a run that was stopped"):
+        read_prior_map(tmp_path)
+    for name, said in ((FILE, "no such file"), ("config.toml", "found no config.toml")):
+        (folder / name).unlink()
+        with pytest.raises(InputError, match=said):
+            read_prior_map(folder)
     shutil.rmtree(folder)
     with pytest.raises(InputError, match="no such folder"):
         read_prior_map(folder)
 
 
-def test_a_folder_without_a_grid_has_landmarks_alone(folder: Path) -> None:
-    change(folder / END_FILE, lambda arrays: arrays.pop("hits"))
-    assert len(read_prior_map(folder).evidence.cells) == 0
+def test_a_folder_without_a_grid_has_landmarks_alone(trace: Trace) -> None:
+    trace.grid = None
+    with written(trace) as folder:
+        assert len(read_prior_map(folder).evidence.cells) == 0
 
 
 def test_a_start_in_a_map_has_its_pose_and_sigmas_and_is_noted(folder: Path) -> None:

@@ -1,7 +1,6 @@
 """Two runs in one building, mapped together."""
 
 import dataclasses
-import json
 import re
 import shutil
 import signal
@@ -18,10 +17,13 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
 from sixthsense.logs.log import Log
 from sixthsense.logs.replay_input import ReplayInput, open_recorded
+from sixthsense.logs.runfolder import FILE, read_run
 from sixthsense.loop import interrupt
 from sixthsense.record.folder import RunFolder
+from sixthsense.record.stream import RecordWriter
 from sixthsense.running.merging import Merged, _going_on, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
+from sixthsense.verdict.verdict import Cause
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
@@ -54,7 +56,7 @@ def complaint(args, capsys, here):
     out, err = capsys.readouterr()
     lines = [line for line in err.splitlines() if not line.startswith("looking for ")]
     assert out == "" and len(lines) == 1
-    assert [entry.name for entry in here.iterdir() if entry.name != ".run.lock"] == []
+    assert [entry.name for entry in here.iterdir()] == []
     return lines[0].removeprefix("sixthsense: ")
 
 
@@ -172,9 +174,14 @@ def test_what_ties_the_runs_is_told_and_a_broken_run_is_refused_with_its_cause_u
     both = ss.load("tied")
     assert both.verdict.level == "good"
     shutil.copytree(runs / "tuesday", "broken")
-    table = json.loads(Path("broken/verdict.json").read_text())
-    cause = {"name": "mirrored", "sentence": "is the laser mirrored?", "from_s": 1.5, "to_s": 22.5, "places": []}
-    Path("broken/verdict.json").write_text(json.dumps({**table, "level": "broken", "causes": [cause]}))
+    judged = ss.load("broken").trace
+    cause = Cause("mirrored", "is the laser mirrored?", 1.5, 22.5, np.zeros((0, 2)))
+    judged.verdict = dataclasses.replace(judged.verdict, level="broken", causes=(cause,))
+    ticks = read_run("broken", judged.config.laser).ticks
+    record = RecordWriter(Path("broken") / FILE)
+    for tick in ticks:
+        record(tick, judged)
+    record.end(judged, {})
     with pytest.raises(InputError, match=r"broken: is the laser mirrored\?"):
         ss.merge_runs(runs / "monday", "broken", progress=False)
     assert ss.merge_runs(runs / "monday", "broken", force=True, progress=False).verdict.level == "good"

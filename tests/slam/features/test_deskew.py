@@ -16,7 +16,7 @@ from sixthsense.evaluation.metrics import nees_world
 from sixthsense.logs.rosbag import read_bag
 from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay, run
-from sixthsense.record.bag import BagWriter
+from sixthsense.record.bag import write_bag
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
 from sixthsense.simulation.world import World
@@ -123,8 +123,7 @@ def test_the_noise_of_a_sweep_is_that_of_the_odometry_within_it() -> None:
 
 def folder_of(config: Config, path: Path) -> tuple[Trace, Path]:
     folder = RunFolder(path, config)
-    with BagWriter(folder.partial) as bag:
-        trace = run(config, bag)
+    trace = run(config, folder.record)
     folder.write(trace, measure(trace))
     folder.finish()
     return trace, folder.out
@@ -139,6 +138,7 @@ def test_a_recorded_sweep_replays_exactly_and_states_its_begin(tmp_path: Path) -
     assert all(scan.time_increment == np.float32(0.08 / 360) for scan in log.scans)
     again = replay(log, config)
     assert np.abs(np.array(again.estimates) - np.array(trace.estimates)).max() < 1e-9
+    write_bag(out / "bag", out, trace)
     foreign = read_bag(out / "bag", config.laser)
     scans = [tick for tick in foreign.ticks if tick.scan is not None]
     began = round(1e9 * 0.08 * 359 / 360)

@@ -1,4 +1,4 @@
-from pathlib import Path
+"""A record that is written while a run goes on, and the log that it is."""
 
 import numpy as np
 import pytest
@@ -9,20 +9,21 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.logs.log import Log
-from sixthsense.logs.runfolder import read_run
+from sixthsense.logs.runfolder import FILE, read_run
 from sixthsense.loop.run import replay, run
-from sixthsense.record.bag import BagWriter
+from sixthsense.record.stream import RecordWriter
 from sixthsense.record.trace import Trace
 
 CONFIG = preset(task="tour", scene="rectangle", max_time=12.0, laser={"mount": [0.1, -0.05, 0.3], "max_range": 7.3})
 SCAN = Scan.from_config(np.linspace(1.5, 4.5, CONFIG.laser.beams), CONFIG.laser)
 
 
-def test_a_run_replays_to_the_same_estimates_covariances_and_errors(tmp_path: Path):
-    with BagWriter(tmp_path) as bag:
-        trace = run(CONFIG, bag)
+def test_a_run_replays_to_the_same_estimates_covariances_and_errors(tmp_path):
+    record = RecordWriter(tmp_path / FILE)
+    trace = run(CONFIG, record)
+    record.close()
     log = read_run(tmp_path, CONFIG.laser)
-    assert all(np.array_equal(a, b) for (_, a), b in zip(log.plans, trace.plans, strict=True))
+    assert all(np.array_equal(a, b) for (_, a), b in zip(log.paths("plan"), trace.plans, strict=True))
     again = replay(log, CONFIG)
     assert np.array_equal(np.array(again.estimates), np.array(trace.estimates))
     assert np.array_equal(again.joint_cov, trace.joint_cov)
@@ -39,37 +40,24 @@ def test_a_log_keeps_its_own_stamps_beside_the_clock(tmp_path):
     own = [976052857.33772, 976052857.12, 976052858.0, 3e9]
     clock = [976052857337720000, 976052857337720001, 976052858000000000, 3 * 10**18]
     ticks = [Tick(c, Pose(k, 0, 0), scan, log_stamp_s=s) for k, (c, s) in enumerate(zip(clock, own, strict=True))]
-    with BagWriter(tmp_path) as bag:
-        replay(Log(ticks), preset("log", laser={"beams": 4}), None, bag)
+    record = RecordWriter(tmp_path / FILE)
+    replay(Log(ticks), preset("log", laser={"beams": 4}), None, record)
+    record.close()
     log = read_run(tmp_path, laser)
     assert [tick.stamp_ns for tick in log.ticks] == clock
-    assert [tick.log_stamp_s for tick in log.ticks][:3] == own[:3]  # the fourth is beyond what ROS can count
+    assert [tick.log_stamp_s for tick in log.ticks] == own
     assert log.backward_stamps == 1
 
 
-def test_an_interrupted_run_has_a_whole_bag(tmp_path):
-    class EnoughError(Exception):
-        pass
-
-    def stop(tick, trace):
-        bag(tick, trace)
-        if tick.stamp_ns >= 2_000_000_000:
-            raise EnoughError
-
-    with pytest.raises(EnoughError), BagWriter(tmp_path) as bag:
-        run(CONFIG, stop)
-    log = read_run(tmp_path, CONFIG.laser)
-    assert log.remarks() == [] and log.ticks[-1].stamp_ns == 2_000_000_000
-
-
-def test_a_bag_that_was_cut_is_read_up_to_its_last_whole_chunk_and_the_log_says_how_far(tmp_path: Path):
+def test_a_record_that_was_cut_is_read_up_to_its_last_whole_chunk_and_the_log_says_how_far(tmp_path):
     ticks = [Tick(k * 1_100_000_000 + 7, Pose(0.3 * k, 0.2, 0.1), SCAN) for k in range(1, 14)]
-    with BagWriter(tmp_path) as bag:
-        trace = Trace(CONFIG, None, 0.23)
-        for tick in ticks:
-            bag(tick, trace)
-            bag._flush(trace)
-    file = tmp_path / "bag" / "bag_0.mcap"
+    record, trace = RecordWriter(tmp_path / FILE), Trace(CONFIG, None, 0.23)
+    for tick in ticks:
+        record(tick, trace)
+        record._flush()
+    record.close()
+    assert read_run(tmp_path, CONFIG.laser).remarks() == []
+    file = tmp_path / FILE
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     log = read_run(tmp_path, CONFIG.laser)
     used = [tick.stamp_ns for tick in log.ticks]
@@ -77,17 +65,13 @@ def test_a_bag_that_was_cut_is_read_up_to_its_last_whole_chunk_and_the_log_says_
     assert log.remarks() == [f"the recording is incomplete; its first {1.1 * (len(used) - 1):.1f} s are used"]
 
 
-def test_the_tours_of_an_exploration_are_in_its_bag(tmp_path):
-    config = preset(task="explore", scene="rectangle", max_time=20.0, laser={"max_range": 2.0})
-    with BagWriter(tmp_path) as bag:
-        trace = run(config, bag)
-    log = read_run(tmp_path, config.laser)
-    assert len(log.tours) == len(trace.tours) > 0
-    assert all(np.array_equal(a, b) for (_, a), b in zip(log.tours, trace.tours, strict=True))
-    assert all(np.allclose(tour[-1], trace.estimates[0][:2]) for _, tour in log.tours)  # home
-
-
-def test_views_that_no_tour_has_chosen_make_no_tour():
-    config = preset(task="explore", scene="rectangle", max_time=20.0, explorer="random")
-    trace = run(config)
-    assert trace.plans and not trace.tours
+@pytest.mark.parametrize("explorer", ["frontier", "random"])
+def test_the_tours_of_an_exploration_are_in_its_record(tmp_path, explorer):
+    config = preset(task="explore", scene="rectangle", max_time=20.0, laser={"max_range": 2.0}, explorer=explorer)
+    record = RecordWriter(tmp_path / FILE)
+    trace = run(config, record)
+    record.close()
+    tours = read_run(tmp_path, config.laser).paths("tour")
+    assert len(tours) == len(trace.tours) and bool(tours) == (explorer == "frontier") and trace.plans
+    assert all(np.array_equal(a, b) for (_, a), b in zip(tours, trace.tours, strict=True))
+    assert all(np.allclose(tour[-1], trace.estimates[0][:2]) for _, tour in tours)  # home
