@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -29,9 +30,12 @@ class Sweep:
     """(N,) time from each beam to the stamp, as a share of the time that `cov` covers"""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scan:
-    """One turn of the laser; ranges and angles are float32, so that a recorded scan is replayed exactly."""
+    """One turn of the laser; ranges and angles are float32, so that a recorded scan is replayed exactly.
+
+    Its returns as points are computed once, when they are first read.
+    """
 
     ranges: NDArray[np.float32]
     """(N,) metres, inf for no return"""
@@ -84,14 +88,28 @@ class Scan:
         ranges.flags.writeable = False
         return replace(self, ranges=ranges, angle_min=np.float32(-last), time_increment=-self.time_increment)
 
-    @property
-    def points_robot(self) -> Array:
-        """(N, 2) metres in the robot's frame; infinite or NaN for a beam without a return."""
-        bearings = self.bearings
-        ranges = self.ranges.astype(np.float64)
+    @functools.cached_property
+    def is_return(self) -> NDArray[np.bool_]:
+        """(N,) whether a beam has a return: a range above 0 and below the maximum."""
+        return np.asarray((self.ranges > 0.0) & (self.ranges < self.max_range))
+
+    @functools.cached_property
+    def points_laser(self) -> Array:
+        """(N, 2) metres in the laser's frame, by beam; infinite or NaN for a beam without a return."""
+        bearings, ranges = self.bearings, self.ranges.astype(np.float64)
         with np.errstate(invalid="ignore"):
-            points_laser = np.stack([ranges * np.cos(bearings), ranges * np.sin(bearings)], axis=1)
-            return self.T_robot_laser @ points_laser
+            return _read_only(np.stack([ranges * np.cos(bearings), ranges * np.sin(bearings)], axis=1))
+
+    @functools.cached_property
+    def points_robot(self) -> Array:
+        """(N, 2) the same in the robot's frame."""
+        with np.errstate(invalid="ignore"):
+            return _read_only(self.T_robot_laser @ self.points_laser)
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array
 
 
 def beam_angles(config: LaserConfig) -> tuple[np.float32, np.float32]:

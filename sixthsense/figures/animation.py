@@ -231,7 +231,7 @@ class _MapDrawing:
             shown["pose"] = ellipse(pose.position, trace.key_estimates[-1].pose_cov[:2, :2])
             parts.append(f"{len(trace.key_estimates[-1].ids)} landmarks")
         if live.scan is not None:
-            shown["returns"] = pose @ live.scan.points_robot[live.scan.ranges < live.scan.max_range]
+            shown["returns"] = pose @ live.scan.points_robot[live.scan.is_return]
         if self._region is not None:
             cell_m, origin = self._config.grid.cell_m, grid.origin
             shown["frontiers"] = frontier_points(seen, grid.obstacles, origin, cell_m, self._region)

@@ -110,10 +110,9 @@ class MovingReturns:
             _count_seen_through(
                 points, view.pose, view.first, view.ranges, (_BEYOND_M, _TOLERANCE_M, _TOLERANCE_RAD), counts
             )
-        returned = scan.ranges < scan.max_range
-        moving = returned & (counts >= _LEAST_SCANS)
+        moving = scan.is_return & (counts >= _LEAST_SCANS)
         count = np.count_nonzero(moving)
-        if count == 0 or count > _MOST_SHARE * np.count_nonzero(returned):
+        if count == 0 or count > _MOST_SHARE * np.count_nonzero(scan.is_return):
             return scan, NOTHING_MOVES
         still = replace(scan, ranges=np.where(moving, np.float32(np.nan), scan.ranges))
         return still, Moving(points_robot[moving], points_robot[moving & ~recent])

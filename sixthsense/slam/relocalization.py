@@ -104,8 +104,7 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     the pose than a `cov` this large. Raises InputError where the scan does not fit the map, and where it fits two
     places.
     """
-    returned = (scan.ranges > 0.0) & (scan.ranges < scan.max_range)
-    if not returned.any() or not len(prior.evidence.cells):
+    if not scan.is_return.any() or not len(prior.evidence.cells):
         return pose
     views, laser = MapViews(prior.evidence, config, scan), pose @ scan.T_robot_laser
     key = views.add(scan, laser, 0.0)

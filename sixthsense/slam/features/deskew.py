@@ -36,7 +36,7 @@ class Deskewer:
     """De-skews scans by the odometry of the last ticks, which it keeps."""
 
     def __init__(self, enabled: bool = True) -> None:
-        """With `enabled` off scans are returned unchanged."""
+        """With `enabled` off scans stay as they are."""
         self._enabled = enabled
         self._ticks: deque[tuple[int, Odometry]] = deque()
         """stamps, and the motion since the tick before"""
@@ -49,9 +49,12 @@ class Deskewer:
             self._ticks.popleft()
 
     def __call__(self, scan: Scan) -> Scan:
-        """The scan as if taken at the latest tick; a scan without duration is returned unchanged."""
+        """The scan as if taken at the latest tick; of a scan without duration, or if this is off, a copy.
+
+        A copy, so that a log does not keep the points of all of its scans.
+        """
         if not self._enabled or scan.time_increment == 0.0 or not self._ticks:
-            return scan
+            return dataclasses.replace(scan)
         mount, times_s = scan.T_robot_laser, scan.times_s
         stamps_s, track, whole = self._track(float(times_s.min()))
         poses = interpolated(stamps_s, track, times_s)  # (N, 3) of the robot, seen from its last

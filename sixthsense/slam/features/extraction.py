@@ -93,8 +93,7 @@ def _partitioned(scan: Scan, sigma_range: float, config: FeaturesConfig) -> tupl
         bearings = bearings[0] + spacing * (offset + np.arange(n))
     else:
         bearings = np.concatenate([bearings[offset:], bearings[:offset] + 2.0 * math.pi])
-    reach = np.where(np.isfinite(ranges), ranges, 0.0)
-    points = np.column_stack([reach * np.cos(bearings), reach * np.sin(bearings)])
+    points = np.where(np.isfinite(ranges)[:, None], np.roll(scan.points_laser, -offset, axis=0), 0.0)
     return offset, RolledScan(points, ranges, bearings, pieces, scan.closed, cyclic)
 
 
