@@ -49,16 +49,15 @@ class MotionSource(Protocol):
         """
         ...
 
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """The motion since the last keyframe with all its errors, for a scan to be aligned from."""
-        ...
-
     def for_estimator(self, since: Odometry) -> Odometry:
-        """The same as the estimator is given it at the next keyframe, which may estimate some of its errors."""
+        """The motion since the last keyframe with all errors but those that the estimator estimates.
+
+        It is that which is reported between keyframes, and which the estimator is given at the next keyframe.
+        """
         ...
 
-    def at_end(self, since: Odometry) -> Odometry:
-        """The motion since the last keyframe as the estimator is given it after the last tick."""
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The same with the errors that the estimator estimates, too, for a scan to be aligned from."""
         ...
 
 
@@ -69,24 +68,27 @@ class ByWheels:
 
     def __init__(self, assumed: AssumedConfig) -> None:
         self._assumed = assumed
+        self._is_stated = False
+        """whether the log states the covariance of the newest increment"""
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
         """The difference of the wheels' poses, with the covariance that the log states or that of the assumed noise."""
+        self._is_stated = tick.increment_cov is not None
         if tick.increment_cov is not None:
             return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
-        return odometry(before, tick.odometry, self._assumed)
+        return self._by_noise(before, tick.odometry, duration_s)
 
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """The motion with the errors of any wheels."""
-        return with_wheel_errors(since)
+    def _by_noise(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
+        """The motion between two poses of the wheels with the covariance of the assumed noise."""
+        return odometry(before, after, self._assumed)
 
     def for_estimator(self, since: Odometry) -> Odometry:
-        """The motion with the errors of any wheels."""
-        return with_wheel_errors(since)
+        """The motion with the errors of any wheels, or as the log states it."""
+        return since if self._is_stated else with_wheel_errors(since)
 
-    def at_end(self, since: Odometry) -> Odometry:
-        """The motion by the wheels."""
-        return since
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The same."""
+        return self.for_estimator(since)
 
 
 class CalibratedWheels(ByWheels):
@@ -95,24 +97,23 @@ class CalibratedWheels(ByWheels):
     def __init__(self, assumed: AssumedConfig) -> None:
         super().__init__(assumed)
         self._odometry = WheelOdometry(assumed)
-        self._estimate: ParameterEstimate[Wheels] | None = None
+        self._estimate = wheel_prior(assumed)
 
-    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
-        """The motion by the present parameters, and its dependence on them; or with the covariance of the log."""
-        if tick.increment_cov is not None:
-            return super().increment(before, tick, duration_s, since)
-        return self._odometry.increment(before, tick.odometry, duration_s)
-
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """The motion with the errors that the estimate of the parameters leaves."""
-        if self._estimate is None or since.wheels is None:
-            return with_wheel_errors(since)
-        unsteady, jacobian = with_wheel_errors(since, UNSTEADY), since.wheels.jacobian
-        return Odometry(since.motion, unsteady.cov + jacobian @ self._estimate.cov @ jacobian.T)
+    def _by_noise(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
+        """The motion by the present parameters, and its dependence on them."""
+        return self._odometry.increment(before, after, duration_s)
 
     def for_estimator(self, since: Odometry) -> Odometry:
-        """The motion with the errors that no parameter describes."""
-        return with_wheel_errors(since, UNSTEADY)
+        """The motion with the errors that no parameter describes, or as the log states it."""
+        return since if self._is_stated else with_wheel_errors(since, UNSTEADY)
+
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The same with the errors that the estimate of the parameters leaves."""
+        found = self.for_estimator(since)
+        if found.wheels is None:
+            return found
+        jacobian = found.wheels.jacobian
+        return Odometry(found.motion, found.cov + jacobian @ self._estimate.cov @ jacobian.T)
 
     def use(self, wheels: ParameterEstimate[Wheels]) -> None:
         """Use these parameters from now on."""
@@ -237,10 +238,6 @@ class LastVelocity:
 
     def for_estimator(self, since: Odometry) -> Odometry:
         """The motion as `lasting`; there are no wheels."""
-        return self.lasting(since)
-
-    def at_end(self, since: Odometry) -> Odometry:
-        """The motion as `lasting`."""
         return self.lasting(since)
 
     def lasting(self, since: Odometry) -> Odometry:

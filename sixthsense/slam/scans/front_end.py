@@ -102,7 +102,7 @@ class ScanFrontEnd:
     def since(self) -> Odometry:
         """Motion since the last keyframe, by the last scan and the odometry since."""
         motion = self._T_key_world @ self.pose if self._store.count else self._since.motion
-        return Odometry(motion, self._sources.present.at_end(self._since).cov)
+        return Odometry(motion, self._for_estimator().cov)
 
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: every scan is tracked; keyframes are linked with earlier ones."""
@@ -141,7 +141,7 @@ class ScanFrontEnd:
 
     def finish(self) -> Finished:
         """Predict up to the last tick, and align the scans between keyframes once more."""
-        motion = self._sources.present.at_end(self._since)
+        motion = self._for_estimator()
         key = self._reported(self._estimator.estimate())
         self._estimator.predict(motion)
         cov = propagated(key.pose, key.pose_cov, motion)
@@ -245,11 +245,15 @@ class ScanFrontEnd:
             return self._since
         if tracked is not None and tracked.has_slipped:
             return Odometry(moved, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
-        motion, factors = self._sources.present.for_estimator(self._since), self._noise.factors
-        cov = motion.cov * np.outer(factors, factors)
+        motion = self._for_estimator()
         # Scans have contradicted it by this squared Mahalanobis distance.
         slip = 0.0 if tracked is None else tracked.slip
-        return Odometry(motion.motion, cov * (1.0 + slip / SLIP_SIGMAS**2), motion.wheels)
+        return Odometry(motion.motion, motion.cov * (1.0 + slip / SLIP_SIGMAS**2), motion.wheels)
+
+    def _for_estimator(self) -> Odometry:
+        """The motion since the last keyframe by odometry, with the errors that the run has shown its wheels to have."""
+        motion, factors = self._sources.present.for_estimator(self._since), self._noise.factors
+        return Odometry(motion.motion, motion.cov * np.outer(factors, factors), motion.wheels)
 
     def _updated(self, tracked: Tracked | None) -> int:
         """Keep the newest scan as keyframe, and add its pose; its index. What it says of the wheels is learnt."""

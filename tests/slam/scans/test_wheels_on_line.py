@@ -1,5 +1,7 @@
 """The wheels' parameters on line with scan matching: found where scans observe them, kept where they do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rooms import CORNERS, CORRIDOR, HALF, RING, ROOM, drive, ticks
@@ -8,6 +10,7 @@ from sixthsense.config import AssumedConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
+from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels, WheelTerms, wheel_prior
 from sixthsense.slam.motion_source import UNSTEADY, ByWheels, CalibratedWheels, with_wheel_errors
 from sixthsense.slam.slam import Slam
@@ -55,5 +58,27 @@ def test_errors_that_are_known_leave_what_no_parameter_describes():
     assert np.array_equal(of_known, with_wheel_errors(odometry, UNSTEADY).cov)
     assert np.allclose(of_unknown - of_known, np.diag([0.0125, 0.0, 0.0075]) ** 2)
     assert np.all(np.diag(of_known) < np.diag(of_any))
-    left = sources[1].for_estimator(odometry)
+    left = sources[2].for_estimator(odometry)
     assert left.wheels is odometry.wheels and np.array_equal(left.cov, of_known)
+
+
+def test_a_covariance_that_the_log_states_is_not_enlarged():
+    stated = Tick(7, Pose(1.2, 0.3, 0.4), increment_cov=1e-5 * np.eye(3))
+    for source in (ByWheels(AssumedConfig()), CalibratedWheels(AssumedConfig())):
+        for is_stated in (True, False):
+            tick = stated if is_stated else replace(stated, increment_cov=None)
+            moved = source.increment(Pose(1.0, 0.2, 0.3), tick, 0.1, Pose())
+            for found in (source.for_estimator(moved), source.for_tracking(moved)):
+                assert np.array_equal(found.cov, moved.cov) == is_stated
+
+
+def test_what_is_reported_between_keyframes_is_what_the_next_keyframe_is_given():
+    way = drive(Pose(-2, 1), [(0, 1), (0, -2)])
+    before, jumps = None, []
+    with Slam(preset(front_end="scan-matching"), way[0]) as slam:
+        for tick in ticks(way, ROOM, scale=1.05):
+            step = slam.take(tick)
+            if step.keyframe is not None and before is not None and before.motion.position.any():
+                jumps.append(np.sqrt(np.diag(step.keyframe.motion.cov) / np.diag(before.cov)))
+            before = step.since
+    assert len(jumps) > 10 and np.median(jumps, axis=0).max() < 1.4
