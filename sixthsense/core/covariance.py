@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from scipy.special import gammaincinv
 
-from sixthsense.core.se2 import Array, eigen
+from sixthsense.core.se2 import Array
 
 
 def chi_square_quantile(probability: float, dof: Any) -> Any:
@@ -58,8 +57,7 @@ def check_covariance(name: str, value: Array) -> Array:
     cov = np.ascontiguousarray(value, dtype=np.float64)
     if cov.shape != (3, 3):
         raise ValueError(f"{name}: expected shape (3, 3), got {cov.shape}")
-    if not are_covariances(np.array([cov])):
-        fault = covariance_fault(cov, lowest=-COVARIANCE_SLACK)
+    if fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK):
         raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, no eigenvalue below 0")
     return cov
 
@@ -68,32 +66,11 @@ def covariance_fault(cov: Array, lowest: float) -> str:
     """Why a matrix is no covariance, or an empty text; `lowest` allowed eigenvalue, relative to the largest entry."""
     if not np.isfinite(cov).all():
         return "a value that is not finite"
-    asymmetry, scale, smallest = _extremes(np.asarray(cov, dtype=np.float64))
-    if asymmetry > COVARIANCE_SLACK * scale:
+    scale = float(np.abs(cov).max())
+    if np.abs(cov - cov.T).max() > COVARIANCE_SLACK * scale:
         return "an asymmetric matrix"
+    smallest = float(np.linalg.eigvalsh(cov)[0])
     return f"an eigenvalue of {smallest:.3g}" if smallest < lowest * scale else ""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _extremes(cov: Array) -> tuple[float, float, float]:
-    """The largest difference from the transpose, the largest entry, and the smallest eigenvalue."""
-    return np.abs(cov - cov.T).max(), np.abs(cov).max(), np.linalg.eigvalsh(cov)[0]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def are_covariances(covs: Array) -> bool:
-    """Whether all (m, 3, 3) are valid covariances; `check_covariance` says what is wrong with one."""
-    for k in range(len(covs)):
-        cov, scale = covs[k], 0.0
-        for i in range(3):
-            for j in range(3):
-                if not np.isfinite(cov[i, j]):
-                    return False
-                scale = max(scale, abs(cov[i, j]))
-        off = max(abs(cov[0, 1] - cov[1, 0]), abs(cov[0, 2] - cov[2, 0]), abs(cov[1, 2] - cov[2, 1]))
-        if off > COVARIANCE_SLACK * scale or eigen(cov)[0][0] < -COVARIANCE_SLACK * scale:
-            return False
-    return True
 
 
 def landmark_covariances(joint: Array) -> Array:

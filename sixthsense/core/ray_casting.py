@@ -180,37 +180,6 @@ def _cast_rays(laser: Triple, beams: Beams, walls: Array, legs: Array, max_range
     return ranges
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
-def _cast_sweep(x: Array, y: Array, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
-    """As `_cast_rays`, with a position for each beam: no beams share a sector, so each is tested by itself."""
-    for i in range(ranges.shape[0]):
-        nearest = np.inf
-        for j in range(walls.shape[0]):
-            ax, ay = walls[j, 0] - x[i], walls[j, 1] - y[i]
-            ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
-            # As in `_cast_at_wall`.
-            inverse = 1.0 / (cos[i] * ey - sin[i] * ex)
-            t = (ax * ey - ay * ex) * inverse
-            u = (ax * sin[i] - ay * cos[i]) * inverse
-            if t >= 0.0 and u >= -_JOIN and u <= 1.0 + _JOIN and t < nearest:
-                nearest = t
-        ranges[i] = nearest if nearest < max_range else np.inf
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _sweep_at_legs(
-    x: Array, y: Array, cos: Array, sin: Array, times_s: Array, legs: Array, max_range: float, ranges: Array
-) -> None:
-    """Shorten `ranges` (N,) to where each beam enters a leg, which has moved by then as its velocity says."""
-    for i in range(ranges.shape[0]):
-        for j in range(legs.shape[0]):
-            ax, ay = legs[j, 0] + times_s[i] * legs[j, 3] - x[i], legs[j, 1] + times_s[i] * legs[j, 4] - y[i]
-            if ax * ax + ay * ay < (max_range + legs[j, 2]) ** 2:
-                _cast_at_leg(ax, ay, legs[j, 2], cos[i : i + 1], sin[i : i + 1], ranges[i : i + 1])
-        if not ranges[i] < max_range:
-            ranges[i] = np.inf
-
-
 class Moving(NamedTuple):
     """Legs during a sweep."""
 
@@ -220,16 +189,29 @@ class Moving(NamedTuple):
     """(N,) of each beam relative to the stamp"""
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _cast_sweep(poses: Array, cos: Array, sin: Array, walls: Array, moving: Moving, max_range: float) -> Array:
+    """As `_cast_rays`, with a pose (N, 3) for each beam: no beams share a sector, so each is tested by itself."""
+    ranges = np.full(len(cos), np.inf)
+    for i in range(len(ranges)):
+        x, y, found = poses[i, 0], poses[i, 1], ranges[i : i + 1]
+        for j in range(len(walls)):
+            ax, ay, bx, by = walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3]
+            _cast_at_wall((ax - x, ay - y, bx - ax, by - ay), cos[i : i + 1], sin[i : i + 1], found)
+        for j in range(len(moving.legs)):  # each has moved as its velocity says
+            leg, time_s = moving.legs[j], moving.times_s[i]
+            ax, ay = leg[0] + time_s * leg[3] - x, leg[1] + time_s * leg[4] - y
+            _cast_at_leg(ax, ay, leg[2], cos[i : i + 1], sin[i : i + 1], found)
+        if not found[0] < max_range:
+            found[0] = np.inf
+    return ranges
+
+
 def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float, moving: Moving | None = None) -> Array:
     """As `cast_rays` for a moving laser: beam i is cast from row i of `poses` (N, 3), world frame."""
-    angles = bearings + poses[:, 2]
-    ranges = np.empty(len(angles))
-    x, y = np.ascontiguousarray(poses[:, 0]), np.ascontiguousarray(poses[:, 1])
-    flat, cos, sin = np.ascontiguousarray(walls.reshape(-1, 4)), np.cos(angles), np.sin(angles)
-    _cast_sweep(x, y, cos, sin, flat, max_range, ranges)
-    if moving is not None and len(moving.legs):
-        _sweep_at_legs(x, y, cos, sin, moving.times_s, moving.legs, max_range, ranges)
-    return ranges
+    angles, flat = bearings + poses[:, 2], np.ascontiguousarray(walls.reshape(-1, 4))
+    moving = moving or Moving(NO_LEGS, np.zeros(len(angles)))
+    return _cast_sweep(np.ascontiguousarray(poses), np.cos(angles), np.sin(angles), flat, moving, max_range)
 
 
 def cast_rays(T_world_laser: Pose, bearings: ArrayLike, walls: ArrayLike, max_range: float) -> Array:

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sixthsense.config import AssumedConfig, MotionNoise, preset
-from sixthsense.core.arcs import arc
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import (
     STANDSTILL,
@@ -35,20 +34,6 @@ def test_rk4_follows_the_circle(v, w, t):
     found, exact = rk4(Pose(), v, w, t, 0.01), exact_arc(v, w, t)
     assert math.dist(found.position, exact.position) < 1e-9
     assert abs(wrap_angle(found.theta - exact.theta)) < 1e-9
-
-
-def test_rk4_is_of_fourth_order():
-    exact = exact_arc(1.0, 2.0, 1.0)
-    errors = [math.dist(rk4(Pose(), 1.0, 2.0, 1.0, 1.0 / n).position, exact.position) for n in (4, 8, 16)]
-    assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
-    assert errors[1] / errors[2] == pytest.approx(16, rel=0.1)
-
-
-@given(st.floats(-1, 1), st.floats(-2, 2))
-def test_the_arc_of_a_motion_is_the_one_that_was_driven(d, a):
-    length, turn = arc(exact_arc(d, a, 1.0))
-    assert length == pytest.approx(d, abs=1e-9)
-    assert turn == pytest.approx(a, abs=1e-12)
 
 
 def test_the_jacobians_of_composition_agree_with_finite_differences():

@@ -6,7 +6,6 @@ import numba
 import numpy as np
 import pytest
 
-from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.se2 import (
     Triple,
@@ -56,13 +55,6 @@ def test_triples_are_composed_inverted_and_compared_as_matrices() -> None:
         assert in_a_kernel(a, b) == (compose(a, b), inverse(a), between(a, b))
 
 
-def test_poses_of_users_compute_as_the_triples() -> None:
-    for _ in range(50):
-        a, b = random_triple(), random_triple()
-        assert (Pose(*a) @ Pose(*b)).triple() == compose(a, b)
-        assert Pose(*a).inverse().triple() == inverse(a)
-
-
 @pytest.mark.parametrize(("a", "b"), [(ONE, MANY), (MANY, ONE), (MANY, MANY[::-1]), (ONE, MANY[0]), (ONE, MANY[:0])])
 def test_rows_of_poses_are_composed_as_matrices(a: np.ndarray, b: np.ndarray) -> None:
     rows = np.broadcast_shapes(a.shape, b.shape)
@@ -91,23 +83,6 @@ def test_an_angle_keeps_its_direction_and_comes_into_half_a_turn_on_either_side(
     assert -math.pi <= found < math.pi
     assert abs(math.remainder(found - angle, 2.0 * math.pi)) < 1e-12
     assert found == wrap_angle(angle) == wrap_angle(np.array([angle, 1.0]))[0]
-
-
-def driven_in_python(pose: Triple, speed: float, turn_rate: float, step_s: float, steps: int) -> Triple:
-    x, y, theta = pose
-    for _ in range(steps):
-        middle, end = theta + 0.5 * step_s * turn_rate, theta + step_s * turn_rate
-        x += step_s / 6.0 * speed * (math.cos(theta) + 4.0 * math.cos(middle) + math.cos(end))
-        y += step_s / 6.0 * speed * (math.sin(theta) + 4.0 * math.sin(middle) + math.sin(end))
-        theta = end
-    return Pose(x, y, theta).triple()
-
-
-def test_driven_is_the_integration_in_plain_python() -> None:
-    for _ in range(200):
-        pose, (speed, turn_rate), steps = random_triple(), RNG.uniform(-3.0, 3.0, 2), int(RNG.integers(1, 5))
-        expected = driven_in_python(pose, float(speed), float(turn_rate), 0.01, steps)
-        assert driven(pose, float(speed), float(turn_rate), 0.01, steps) == expected
 
 
 def covariances_of_any_shape(count: int) -> np.ndarray:
