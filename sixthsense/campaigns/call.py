@@ -59,6 +59,7 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
     names a file.
     """
     import_extra("pandas")  # for the table of the rows, which is asked for when the runs are done
+    check_folder(out, campaign)
     with FolderLock(out):
         saved, rows = check_folder(out, campaign), CampaignRows(out)
         known = rows.rows.read()

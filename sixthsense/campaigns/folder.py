@@ -22,7 +22,7 @@ from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import CURVES as COLUMNS
 from sixthsense.evaluation.groups import flat
-from sixthsense.record.writing import whole
+from sixthsense.record.writing import LOCK, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +45,7 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
     allowed = "a new or empty folder, or that of this campaign"
     if folder.exists() and not folder.is_dir():
         raise InputError("out", f"{folder} is a file", allowed)
-    if not folder.exists() or not any(folder.iterdir()):
+    if not folder.exists() or all(entry.name == LOCK for entry in folder.iterdir()):
         return None
     if not (folder / FILE).is_file():
         kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"

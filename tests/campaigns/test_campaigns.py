@@ -90,7 +90,7 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     assert axes["seeds"] == ["0:5"] and axes["estimator"] == ["ekf-invariant", "ekf"]
     assert frame.columns[: len(IDENTITY)].tolist() == IDENTITY and set(frame["front_end"]) == {"landmarks"}
     made = ss.campaign("rectangle", seeds=range(2), out="c", estimator="ekf-invariant", **FIELDS)
-    assert isinstance(made, ss.Campaign) and "ekf-invariant" in repr(made) and "<table>" in made._repr_html_()
+    assert isinstance(made, ss.Campaign) and "ekf-invariant" in repr(made) and "<table" in made._repr_html_()
     alone = ss.run(ss.preset(scene="rectangle", seed=1, **FIELDS))
     row = frame[(frame["estimator"] == "ekf-invariant") & (frame["seed"] == 1)]
     assert row["ate_rmse_m"].item() == alone.metrics["ate_rmse_m"]
