@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -73,7 +70,6 @@ class Live(OnNetwork, WithPriorMap):
                 raise InputError(name, "found on a robot", "with run")
         network = options.network()
         from sixthsense.api import with_task
-        from sixthsense.live.robot import RESET
         from sixthsense.live.session import Session, Topics, check_drive
         from sixthsense.logs.replay_input import WITHOUT_ODOMETRY
         from sixthsense.logs.transforms import frame_pair
@@ -101,24 +97,11 @@ class Live(OnNetwork, WithPriorMap):
             source = {"scan": topics.scan, "odom": topics.odom}
             if frames is not None:
                 source["odometry_frames"] = ",".join(frames)
-            for one in _numbered(options):
-                with run_folder(one, config, f"live-{config.estimator}", source, prior) as folder:
-                    run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
-                    for line in session.notices.summary():
-                        announce(line)
-                    code = show_end(run, options)
-                    if run.outcome != RESET:
-                        return code
-                    prior = None  # a new map was asked for
-        raise AssertionError("numbers do not end")
-
-
-def _numbered(options: Live) -> Iterator[Live]:
-    """The options of a run and of those that begin with a reset, in the folders OUT, OUT-2, OUT-3."""
-    yield options
-    for number in itertools.count(2):
-        out = options.out
-        yield options if out is None else dataclasses.replace(options, out=out.with_name(f"{out.name}-{number}"))
+            with run_folder(options, config, f"live-{config.estimator}", source, prior) as folder:
+                run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
+                for line in session.notices.summary():
+                    announce(line)
+                return show_end(run, options)
 
 
 def _base(drive: bool) -> Config:

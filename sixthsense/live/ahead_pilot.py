@@ -18,28 +18,24 @@ class AheadPilot(Pilot):
         self._step: Step | None = None
         self._since_scan = Pose()  # motion from the last scan to the last step
         self._guarded = Pose()  # motion from the last scan that the guard knows of
-        self._is_blind = False  # since the robot was placed elsewhere, without a scan there
         self._command = Command()
 
     def steer(self, step: Step) -> Command:
-        """Take in a step; the command in force, which the newest odometry has made, and not this late step."""
+        """Record a step; the command in force, which the newest odometry has made, and not this late step."""
         if step.increment is not None:
             self._since_scan = self._since_scan @ step.increment.motion
         if step.scan is not None:
+            # The guard has followed newer odometry: it goes back to where the scan was taken, or the returns of earlier
+            # scans would be moved once more by the motion since.
+            self.guard.moved(self._guarded.inverse() @ self._since_scan)
             self._since_scan = self._guarded = Pose()
-            self._is_blind = False
-        elif step.increment is not None and step.increment.is_carried():
-            self._is_blind = True
         self.look(step)
         self._step = step
         return self._command
 
     def ahead(self, motion: Pose, stamp_ns: int) -> Command:
-        """The command of a robot that has moved by `motion` since the last step; a standstill before the first scan.
-
-        It stands, too, after it was placed elsewhere, until there is a scan from there.
-        """
-        if self._step is None or self._is_blind:
+        """The command of a robot that has moved by `motion` since the last step; a standstill before the first scan."""
+        if self._step is None:
             return Command()
         since_scan = self._since_scan @ motion
         self.guard.moved(self._guarded.inverse() @ since_scan)

@@ -25,10 +25,10 @@ KEYFRAMES = 200
 _PERIOD_NS = 1_000_000_000
 
 
-def diagnostics(send: Callable[[bytes], object], stamp: Callable[[int], int], pilot: Pilot) -> OnTick:
+def diagnostics(send: Callable[[bytes], object], pilot: Pilot) -> OnTick:
     """A hook that judges the map so far once a second, says so, and slows the pilot down.
 
-    `send` takes serialized messages, and `stamp` makes the robot's stamp of a tick's.
+    `send` takes serialized messages.
     """
     messages, next_ns, judged = Messages(), -1, 0  # keyframes of the newest verdict
 
@@ -44,6 +44,6 @@ def diagnostics(send: Callable[[bytes], object], stamp: Callable[[int], int], pi
         values = {"probability that the map is wrong": f"{verdict.probability:.3g}", "cause": verdict.cause}
         values |= {name: f"{value:.4g}" for name, value in verdict.evidence.items()}
         status = messages.status(LEVELS[verdict.level], NAME, f"map {verdict}", HARDWARE, values)
-        send(messages.serialized(messages.diagnostics(stamp(tick.stamp_ns), [status]), DIAGNOSTICS))
+        send(messages.serialized(messages.diagnostics(tick.stamp_ns, [status]), DIAGNOSTICS))
 
     return hook

@@ -148,8 +148,8 @@ class Node:
             allowed = "an interface that is up" if own else "a configuration of Cyclone DDS"
             where = f"{where}, domain {network.domain}"
             raise InputError(where, f"cannot be joined ({error.msg})", allowed) from None
-        if network.is_loopback:
-            _confine_to_loopback(_open_sockets() - before)
+        self.is_confined = network.is_loopback and _confine_to_loopback(_open_sockets() - before)
+        """whether no other machine can send: not on each system, and not with another interface"""
         self._waitset = core.WaitSet(self._participant)
         self._published, self._subscribed = map(self._announced, ("Publication", "Subscription"))
 
@@ -191,6 +191,11 @@ class Node:
     def subscribers(self, name: str) -> list[Endpoint]:
         """The subscribers of the topic of this name, this program's included."""
         return _endpoints(self._subscribed, name)
+
+    def seen(self) -> dict[str, str]:
+        """The type of each topic of ROS that another program publishes, by its name."""
+        own, found = self.participant, _read_announced(self._published)
+        return {e.topic_name.removeprefix("rt"): _ros_type(e) for e in found if str(e.participant_key) != own}
 
     def wait(self, timeout_s: float) -> None:
         """Wait until a reader has a message, at most for a time."""
@@ -257,12 +262,26 @@ class Writer:
 
 def _endpoints(announced: Any, name: str) -> list[Endpoint]:
     """What a network announces of a topic now."""
-    alive = dds("core").InstanceState.Alive
     return [
-        Endpoint(_ROS_TYPE.sub(r"\1/\2/\3", e.type_name), str(e.participant_key))
-        for e in announced.read(N=_MOST_ENDPOINTS)
-        if e.sample_info.valid_data and e.sample_info.instance_state == alive and e.topic_name == f"rt{name}"
+        Endpoint(_ros_type(e), str(e.participant_key))
+        for e in _read_announced(announced)
+        if e.topic_name == f"rt{name}"
     ]
+
+
+def _read_announced(announced: Any) -> list[Any]:
+    """What a network announces now of topics of ROS."""
+    alive, found = dds("core").InstanceState.Alive, announced.read(N=_MOST_ENDPOINTS)
+    return [
+        e
+        for e in found
+        if e.sample_info.valid_data and e.sample_info.instance_state == alive and e.topic_name.startswith("rt/")
+    ]
+
+
+def _ros_type(endpoint: Any) -> str:
+    """The type of an endpoint as ROS has it."""
+    return _ROS_TYPE.sub(r"\1/\2/\3", endpoint.type_name)
 
 
 def _publisher(reader: Any, handle: int) -> str:
@@ -306,8 +325,15 @@ def _open_sockets() -> set[int]:
     return found
 
 
-def _confine_to_loopback(descriptors: set[int]) -> None:
-    """Let sockets receive from this machine alone: Cyclone DDS binds those that receive to all interfaces."""
-    for descriptor in descriptors:
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as copy:
-            copy.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+def _confine_to_loopback(descriptors: set[int]) -> bool:
+    """Let sockets receive from this machine alone: Cyclone DDS binds those that receive to all interfaces.
+
+    Returns whether that is so for all of them, and there are some.
+    """
+    try:
+        for descriptor in descriptors:
+            with socket.socket(fileno=os.dup(descriptor)) as copy:
+                copy.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+    except (OSError, AttributeError):  # not permitted, or another system
+        return False
+    return bool(descriptors)

@@ -36,26 +36,22 @@ TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE._replace(depth=100))
 def publisher(
     advertise: Callable[[Topic], Writer], robot: LiveRobot, offer_map: Callable[[int, Trace], object], ahead_s: float
 ) -> OnTick:
-    """A hook that sends what a scan has changed, with its stamp; while scans are left out the transform as it was.
+    """A hook that sends the pose after each scan and the transform of the map, with the stamp of the scan.
 
     `advertise` gives what a topic is written with. `offer_map` takes the stamp of each scan, after which the map may
     have changed, and the trace. The transform is dated `ahead_s` later than its scan: so long it holds for those who
     look it up.
     """
     make, pose_writer, tf_writer = Messages(), advertise(POSE), advertise(TF)
-    T_map_odom: Pose | None = None
 
     def hook(tick: Tick, trace: Trace) -> None:
-        nonlocal T_map_odom
-        stamp_ns = robot.joiner.clock.stamp(tick.stamp_ns)
+        stamp_ns = tick.stamp_ns
         if tick.scan is not None:
             pose = Pose.from_array(trace.estimates[-1])
             pose_writer.send(make.serialized(make.estimate(stamp_ns, pose, pose_covariance(trace)), POSE.type))
             T_map_odom = robot.odom_in_map(tick, pose)
-        if T_map_odom is not None and (tick.scan is not None or robot.is_paused):
             transform = make.transform(stamp_ns + round(1e9 * ahead_s), WORLD, robot.odom_frame, T_map_odom)
             tf_writer.send(make.serialized(transform, TF.type))
-        if tick.scan is not None:
             offer_map(stamp_ns, trace)
 
     return hook

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from sixthsense.config.section import shown_name
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.logs.laser_geometry import FARTHEST_M
@@ -20,7 +20,6 @@ from sixthsense.logs.ros_messages import (
     ODOMETRY,
     frame_name,
     planar,
-    planar_covariance,
     scan,
     stamp_ns,
     transform,
@@ -32,10 +31,9 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-SWITCH, EMPTY = "std_msgs/msg/Bool", "std_msgs/msg/Empty"
 
 _MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8, TWIST_STAMPED: 1 << 10}
-_MOST_BYTES |= {POSE: 1 << 11, SWITCH: 1 << 6}
+_MOST_BYTES[POSE] = 1 << 11
 _LONGEST_FRAME = 256  # letters of the name of a frame
 _MOST_FRAMES = 1000
 _MOST_KINDS = 50
@@ -115,16 +113,12 @@ class MessageReader:
             raise ValueError(f"found a command of {speed} m/s and {turn_rate} rad/s, allowed: up to {_FASTEST:g}")
         return Command(speed, turn_rate)
 
-    def pose_in_map(self, data: bytes) -> tuple[Pose, Array]:
-        """The pose of a PoseWithCovarianceStamped in the frame of the map, and its (3, 3) covariance."""
+    def pose_in_map(self, data: bytes) -> Pose:
+        """The pose of a PoseWithCovarianceStamped in the frame of the map."""
         message = self.read(data, POSE)
         if (frame := frame_name(message.header.frame_id)) != WORLD:
             raise ValueError(f"found a pose in the frame {shown_name(frame)}, allowed: in {WORLD}")
-        return planar(message.pose.pose.position, message.pose.pose.orientation), planar_covariance("pose", message)
-
-    def switch(self, data: bytes) -> bool:
-        """The value of a Bool."""
-        return bool(self.read(data, SWITCH).data)
+        return planar(message.pose.pose.position, message.pose.pose.orientation)
 
 
 class LaserReader:
@@ -191,8 +185,8 @@ class Notices:
             self._said.add(kind)
             self._say(f"{topic}: {text}; dropped")
 
-    def take(self, dropped: Mapping[str, int]) -> None:
-        """Take in the present numbers of another counter."""
+    def count(self, dropped: Mapping[str, int]) -> None:
+        """Record the present numbers of another counter."""
         for kind, count in dropped.items():
             if kind not in self.dropped:
                 self._say(f"dropped: {kind}")

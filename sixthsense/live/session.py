@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -22,11 +21,19 @@ from sixthsense.core.random_streams import random_streams
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.diagnostics import TOPIC as DIAGNOSTICS
 from sixthsense.live.diagnostics import diagnostics
-from sixthsense.live.maps import MapSender
+from sixthsense.live.maps import MAP, MapSender
 from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Stamped, publisher
-from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
-from sixthsense.live.requests import Requests
+from sixthsense.live.reading import (
+    POSE,
+    TRANSFORMS,
+    TWIST,
+    TWIST_STAMPED,
+    LaserReader,
+    MessageReader,
+    Notices,
+    RobotPose,
+)
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
 from sixthsense.logs.log import found_turns
@@ -97,12 +104,11 @@ class Session:
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
         self._reader = MessageReader(topics.frames)
-        self._requests = Requests(self._node, self._reader, self.notices)
+        self._starts = self._node.reader(Topic("/initialpose", POSE, RELIABLE))
         self._frames = TransformTree()
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
         self._odometry = self._node.reader(topics.odometry)
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
-        self._advertise = functools.cache(self._node.writer)  # a run that follows another one writes with the same
         self._wait: Callable[[float], object] = self._node.wait
         self._commands: str | None = None  # their type
         self._open = contextlib.ExitStack()
@@ -118,10 +124,11 @@ class Session:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
 
         Mount and maximum range take precedence over the robot's messages where `config.laser` states them. A robot that
-        is to be driven must subscribe to its commands. InputError if another robot sends on these topics, or takes the
-        commands.
+        is to be driven must subscribe to its commands. InputError if another robot sends on these topics, or reads the
+        commands, and if a robot is to be driven though other machines may send to the loopback.
         """
-        self._maps = self._open.enter_context(MapSender(self._network, self._say))  # some seconds before it is needed
+        check_confined(self._network, self._node, self._say, drive)
+        self._maps = self._open.enter_context(MapSender(self._node.writer(MAP), self._say))
         laser = self.config.laser
         stated = laser.explicit_fields
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
@@ -148,14 +155,11 @@ class Session:
         self.config = dataclasses.replace(self.config, laser=laser, robot=robot)
 
     def seen_m2(self) -> float:
-        """Area of the map as it was sent last."""
+        """Area of the map as it was drawn last."""
         return self._maps.seen_m2
 
     def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
-        """Run the loop until the task is over, or until the command is ended; the robot is then stopped.
-
-        A run that ends as "reset" is to be followed by another one.
-        """
+        """Run the loop until the task is over, or until the command is ended; the robot is then stopped."""
         config = self.config
         radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M
         guard = Guard(config, radius_m)
@@ -167,37 +171,47 @@ class Session:
                 believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
                 pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
                 kind = self._commands or TWIST
-                writer = self._advertise(Topic(self._topics.cmd_vel, kind, RELIABLE))
+                writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
                 clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)
                 send = stack.enter_context(Commands(writer.send, clock if kind == TWIST_STAMPED else None)).send
                 steering = Steering(ahead, send, lambda: writer.readers)
             self._wait = trace.stopwatch.waiting(self._node.wait)
-            requests = self._requests.take
-            robot = LiveRobot(
-                self._received, self._reader, self._laser, self.notices, trace, steering, requests=requests
+            readers, start = (
+                (self._reader, self._laser),
+                self._start if prior is None or prior.pose is None else _no_start,
             )
-            robot.takes_start &= prior is None or prior.pose is None
+            robot = LiveRobot(self._received, readers, self.notices, config, steering, start=start)
             if config.no_odometry:
                 robot.odom_frame = self._frames.root(self._laser.frame)
-            self._maps.begin_anew()
             hooks = [
-                publisher(self._advertise, robot, self._maps.offer, self._transform_ahead_s),
-                diagnostics(self._node.writer(DIAGNOSTICS).send, robot.joiner.clock.stamp, pilot),
+                publisher(self._node.writer, robot, self._maps.offer, self._transform_ahead_s),
+                diagnostics(self._node.writer(DIAGNOSTICS).send, pilot),
                 *([] if hook is None else [hook]),
             ]
             self._discard()
-            if (start := robot.begin()) is None:
+            if (first := robot.begin()) is None:
                 if robot.outcome is not None:
                     raise InputError(self._topics.scan, f"found {robot.outcome}", "one robot")
                 raise KeyboardInterrupt
-            recorded_drive(robot, start, pilot, trace, combined_hooks(*hooks), prior)
+            recorded_drive(robot, first, pilot, trace, combined_hooks(*hooks), prior)
         trace.outcome = robot.outcome or _by_user(trace.outcome)
+        if drive and trace.outcome == "goal unreachable":
+            self._say(_where(config, trace))
         return trace
+
+    def _start(self) -> Pose | None:
+        """The newest pose that was set on /initialpose since the last call."""
+        found = None
+        for data in self._starts.take():
+            try:
+                found = self._reader.pose_in_map(data)
+            except ValueError as error:
+                self.notices.unusable("/initialpose", error)
+        return found
 
     def _received(self, timeout_s: float) -> Iterator[Received]:
         """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
         self._wait(timeout_s)
-        self._requests.listen()
         for data in self._transforms.take():
             try:
                 self._reader.add_transforms(data, self._frames)
@@ -229,10 +243,12 @@ class Session:
                 odom = topics.odom if topics.frames is None else f"{_TF} {topics.frames}"
                 heard = {topics.scan: bool(scans), odom: odometry is not None}
                 missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
-                missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
+                missing += [f"nobody who reads {topics.cmd_vel}"] * (drive and not self._commands)
                 if odometry is None and topics.frames is None:
                     missing[-1] += " (in /tf: `odometry_frames` odom,base_link; none: `no_odometry`)"
-                self._say(f"{' and '.join(missing)} yet; other networks: `interface`, `domain`, `peers`")
+                seen = ", ".join(f"{name} ({kind.rpartition('/')[2]})" for name, kind in self._node.seen().items())
+                networks = "other networks: `interface`, `domain`, `peers`"
+                self._say(f"{' and '.join(missing)} yet (seen: {seen or 'none'}); {networks}")
             for is_scan, message in self._received(_WAIT_S):
                 try:
                     if is_scan:
@@ -291,6 +307,16 @@ class Session:
                     self.notices.unusable(_TF, error)
 
 
+def check_confined(network: Network, node: Node, say: Callable[[str], object], drive: bool) -> None:
+    """Say if other machines may send to the loopback; InputError if a robot is to be driven there."""
+    if not network.is_loopback or node.is_confined:
+        return
+    found = "found the loopback, to which this system lets other machines send"
+    if drive:
+        raise InputError("interface", found, "the interface of the robot's network")
+    say(f"interface: {found}")
+
+
 def check_one_publisher(reader: Reader) -> None:
     """Raise InputError if a topic has several publishers: a map of two robots is of neither."""
     if (count := reader.publishers) > 1:
@@ -322,6 +348,23 @@ def check_drive(config: Config) -> None:
     name, form = needed[config.task]
     if getattr(config, name) is None:
         raise InputError(name, "missing", f"{form}, metres, in the frame of the map")
+
+
+def _no_start() -> Pose | None:
+    """No pose is set where a prior map says where the run begins."""
+    return None
+
+
+def _where(config: Config, trace: Trace) -> str:
+    """Where goal and robot are, of a run whose goal cannot be reached."""
+    (gx, gy), (x, y, _) = config.goal or (0.0, 0.0), trace.estimates[-1]
+    grid = trace.draw_map()
+    assert grid is not None
+    col, row = np.floor((np.array([gx, gy]) - grid.origin) / config.grid.cell_m).astype(int)
+    seen = grid.seen
+    is_seen = 0 <= row < seen.shape[0] and 0 <= col < seen.shape[1] and seen[row, col]
+    where = "" if is_seen else ", outside of all that was seen"
+    return f"the goal is at {gx:.2f} {gy:.2f}, frame `map`{where}; the robot is at {x:.2f} {y:.2f}"
 
 
 def _by_user(outcome: str) -> str:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, Self, TextIO
-
-import numpy as np
+from typing import Self, TextIO
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
@@ -29,7 +28,6 @@ ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))
 TF_STATIC = Topic("/tf_static", TRANSFORMS, LATCHED)
 _ANNOUNCED_S = 0.5
 """A network has told who is in it this long after one has joined: it takes a few messages of it."""
-_LATEST_S = 0.5  # by which a scan is late
 
 
 def cmd_vel(kind: str = TWIST) -> Topic:
@@ -37,38 +35,27 @@ def cmd_vel(kind: str = TWIST) -> Topic:
     return Topic("/cmd_vel", kind, RELIABLE._replace(depth=1))
 
 
-class Disturbance(NamedTuple):
-    """What the network does to scans, as shares of them."""
-
-    late: float = 0.0
-    """sent up to half a second late"""
-    lost: float = 0.0
-    """not sent"""
-    twice: float = 0.0
-    """sent twice"""
-
-    def delays(self, rng: np.random.Generator) -> list[float]:
-        """When one scan is sent, seconds after its time: none if it is lost."""
-        late, lost, twice, by = rng.random(4)
-        delay = _LATEST_S * float(by) if late < self.late else 0.0
-        return [] if lost < self.lost else [delay] * (2 if twice < self.twice else 1)
-
-
 class SimulatedRobot:
     """Sends the ticks of a simulated world as messages, stamped with this machine's clock. A context manager."""
 
     def __init__(
-        self, network: Network, config: Config, commands: str | None, disturbance: Disturbance | None = None
+        self,
+        network: Network,
+        config: Config,
+        commands: str | None,
+        delays_s: Callable[[], Sequence[float]] = lambda: (0.0,),
     ) -> None:
-        """Join the network; `commands` is the type of those that drive the robot, None if it drives by itself."""
+        """Join the network; `commands` is the type of those that drive the robot, None if it drives by itself.
+
+        `delays_s` gives for each scan when it is sent, seconds after its time: never, once or more often.
+        """
         self._file: TextIO | None = None
         self._node = Node(network)
         self._joined_s = time.monotonic()
         self._messages, self._reader = Messages(), MessageReader()
         self._kind = commands
         self._mount = Pose(*config.laser.mount)
-        self._disturbance = disturbance or Disturbance()
-        self._rng = np.random.default_rng([config.seed, 1])  # apart from the world's, which is then undisturbed
+        self._delays_s = delays_s
         self._late: list[tuple[float, bytes]] = []
         self._sent = 0
 
@@ -109,7 +96,7 @@ class SimulatedRobot:
         if tick.scan is not None:
             begin_ns = stamp_ns + sweep_ns(len(tick.scan.ranges), tick.scan.time_increment)
             data = make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN)
-            self._late += [(now_s + delay_s, data) for delay_s in self._disturbance.delays(self._rng)]
+            self._late += [(now_s + delay_s, data) for delay_s in self._delays_s()]
         if self._file is not None and tick.truth is not None:
             self._file.write(tum_line(stamp_ns, *tick.truth.array().tolist()))
             self._file.flush()

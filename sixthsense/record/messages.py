@@ -16,9 +16,7 @@ from sixthsense.logs.ros_messages import spatial_covariance
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """names of the frames"""
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-MAP_UPDATE = "map_msgs/msg/OccupancyGridUpdate"
-"""a type that ROS 2 has in a package of its own"""
-_MAP_UPDATE_FIELDS = "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data"
+
 
 _LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
 
@@ -27,11 +25,10 @@ class Messages:
     """Makes messages of ROS 2 Humble. Stamps are nanoseconds."""
 
     def __init__(self) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        from rosbags.typesys import Stores, get_typestore
 
         self.store = get_typestore(Stores.ROS2_HUMBLE)
         """definitions of all types"""
-        self.store.register(get_types_from_msg(_MAP_UPDATE_FIELDS, MAP_UPDATE))
         self._types = self.store.types
 
     def serialized(self, message: Any, name: str) -> bytes:
@@ -123,11 +120,6 @@ class Messages:
         header = self.header(stamp_ns, WORLD)
         info = self._types["nav_msgs/msg/MapMetaData"](header.stamp, cell_m, width, height, self.pose(Pose(*origin)))
         return self._types["nav_msgs/msg/OccupancyGrid"](header, info, occupancy.ravel())
-
-    def occupancy_update(self, stamp_ns: int, occupancy: NDArray[np.int8], first: tuple[int, int]) -> Any:
-        """map_msgs/OccupancyGridUpdate of (H, W) cells, of which the first is at this row, col of the map."""
-        (height, width), (row, col) = occupancy.shape, first
-        return self._types[MAP_UPDATE](self.header(stamp_ns, WORLD), col, row, width, height, occupancy.ravel())
 
 
 def quaternion(theta: float) -> tuple[float, float]:

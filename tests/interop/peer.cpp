@@ -32,12 +32,11 @@ namespace sensor = sensor_msgs::msg::dds_;
 namespace geometry = geometry_msgs::msg::dds_;
 namespace nav = nav_msgs::msg::dds_;
 namespace tf = tf2_msgs::msg::dds_;
-namespace maps = map_msgs::msg::dds_;
 
 struct Options {
     int domain = 0, beams = 360;
     double seconds = 20.0, hz = 10.0, ahead_s = 0.0;
-    bool listens = false, obeys = false, is_best_effort = false, asks = false, takes_map = true;
+    bool listens = false, obeys = false, is_best_effort = false, takes_map = true;
     std::string peer;
 };
 
@@ -67,7 +66,7 @@ struct Heard {
 std::map<std::string, Heard> heard;
 std::map<long long, Motion> truth;  // by stamp, ns
 double worst_m = 0.0, speed = 0.0, turn_rate = 0.0, commanded_s = -1.0;
-size_t map_bytes = 0, obstacles = 0, update_bytes = 0;
+size_t map_bytes = 0, obstacles = 0;
 
 long long stamp_of(const std_msgs::msg::dds_::Header_& h) { return 1000000000LL * h.stamp().sec() + h.stamp().nanosec(); }
 
@@ -81,7 +80,6 @@ void take(const nav::OccupancyGrid_& m) {
     map_bytes = m.data().size();
     obstacles = std::count(m.data().begin(), m.data().end(), 100);
 }
-void take(const maps::OccupancyGridUpdate_& m) { update_bytes = m.data().size(); }
 void take(const tf::TFMessage_&) {}
 void take(const geometry::Twist_& m) {
     speed = m.linear().x(); turn_rate = m.angular().z(); commanded_s = since_s();
@@ -224,43 +222,6 @@ private:
     DataWriter *scans_, *odometry_, *static_;
 };
 
-// Two seconds after the first pose a pause, and its end, a pose, and a reset, each two seconds after the one before.
-class User {
-public:
-    explicit User(Peer& peer) {
-        pause_ = peer.writer<std_msgs::msg::dds_::Bool_PubSubType>("/pause", true);
-        pose_ = peer.writer<geometry::PoseWithCovarianceStamped_PubSubType>("/initialpose", true);
-        reset_ = peer.writer<std_msgs::msg::dds_::Empty_PubSubType>("/reset", true);
-    }
-    void step() {
-        std::unique_lock<std::mutex> guard(lock);
-        const double first_s = heard["/pose"].first_s;
-        guard.unlock();
-        if (first_s < 0.0 || asked_ == 4 || since_s() < first_s + 2.0 * (asked_ + 1)) return;
-        if (asked_ < 2) {
-            std_msgs::msg::dds_::Bool_ m;
-            m.data(asked_ == 0);
-            pause_->write(&m);
-        } else if (asked_ == 2) {
-            geometry::PoseWithCovarianceStamped_ m;
-            stamp(m.header(), 1, "map");
-            m.pose().pose().position().x(11.3);
-            m.pose().pose().position().y(-7.2);
-            m.pose().pose().orientation().z(std::sin(0.35));
-            m.pose().pose().orientation().w(std::cos(0.35));
-            for (int k : {0, 7, 35}) m.pose().covariance()[k] = k == 35 ? 0.07 : 0.25;
-            pose_->write(&m);
-        } else {
-            std_msgs::msg::dds_::Empty_ m;
-            reset_->write(&m);
-        }
-        ++asked_;
-    }
-private:
-    int asked_ = 0;
-    DataWriter *pause_, *pose_, *reset_;
-};
-
 Options parsed(int argc, char** argv) {
     Options o;
     for (int k = 1; k < argc; ++k) {
@@ -275,7 +236,6 @@ Options parsed(int argc, char** argv) {
         else if (word == "--listen") o.listens = true;
         else if (word == "--obey") o.obeys = true;
         else if (word == "--no-map") o.takes_map = false;
-        else if (word == "--ask") o.asks = true;
         else if (word == "--best-effort") o.is_best_effort = true;
         else { std::fprintf(stderr, "%s: unknown\n", word.c_str()); std::exit(2); }
     }
@@ -289,17 +249,14 @@ int main(int argc, char** argv) {
     peer.listen<geometry::PoseWithCovarianceStamped_PubSubType, geometry::PoseWithCovarianceStamped_>("/pose");
     peer.listen<tf::TFMessage_PubSubType, tf::TFMessage_>("/tf");
     if (options.takes_map) peer.listen<nav::OccupancyGrid_PubSubType, nav::OccupancyGrid_>("/map", true);
-    if (options.takes_map) peer.listen<maps::OccupancyGridUpdate_PubSubType, maps::OccupancyGridUpdate_>("/map_updates");
     if (options.obeys) peer.listen<geometry::Twist_PubSubType, geometry::Twist_>("/cmd_vel");
     const auto now = std::chrono::system_clock::now().time_since_epoch();
     std::printf("%.3f\n", std::chrono::duration<double>(now).count());  // when it has joined
     std::fflush(stdout);
     std::unique_ptr<Robot> robot(options.listens ? nullptr : new Robot(peer, options));
-    std::unique_ptr<User> user(options.asks ? new User(peer) : nullptr);
     auto due = Clock::now();
     for (int k = 0; !is_over && since_s() < options.seconds; ++k) {
         if (robot) robot->step(k);
-        if (user) user->step();
         due += std::chrono::milliseconds(10);
         std::this_thread::sleep_until(due);
     }
@@ -308,8 +265,8 @@ int main(int argc, char** argv) {
     for (auto& [name, of] : heard)
         std::printf("\"%s\": {\"count\": %d, \"first_s\": %.2f, \"gap_p99_s\": %.3f, \"gap_max_s\": %.3f}, ", name.c_str(),
                     of.count, of.first_s, of.gap(0.99), of.gap(1.0));
-    std::printf("\"worst_m\": %.4f, \"map_bytes\": %zu, \"obstacles\": %zu, \"update_bytes\": %zu}\n", worst_m, map_bytes,
-                obstacles, update_bytes);
+    std::printf("\"worst_m\": %.4f, \"map_bytes\": %zu, \"obstacles\": %zu}\n", worst_m, map_bytes,
+                obstacles);
     std::fflush(stdout);
     return 0;
 }

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from sixthsense.config import preset
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Pose, point_segment_distance
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.navigation.goal_navigator import goal_navigator
@@ -72,22 +74,30 @@ def test_the_guard_is_told_the_motion_since_the_scan_in_the_axes_of_the_robot_at
             assert guard.moved_since.array() == pytest.approx(motion.array(), abs=1e-12)
 
 
-def test_a_robot_that_was_carried_stands_until_a_scan_has_shown_where_it_is():
-    pilot = AheadPilot(Forward(), Guard(CONFIG, 0.2))
-    world = World(HALL, Pose(0.5, 0.3, 0.7), 0.2, CONFIG, np.random.default_rng(0))
+def test_a_late_scan_leaves_earlier_returns_where_they_are():
+    """Scans are older than the newest odometry: the guard goes back to where they were taken."""
+    guard = Guard(CONFIG, 0.2)
+    pilot = AheadPilot(Forward(), guard)
+    start, step = Pose(0.5, 1.4, 0.05), Pose(0.1, 0.0, -0.03)
+    world = World(HALL, start, 0.2, CONFIG, np.random.default_rng(0))
     first = world.step(Command())
     assert first is not None and first.scan is not None
-    stamps = [first.stamp_ns + 10_000_000 * k for k in range(4)]
-    with Slam(CONFIG, Pose(0.5, 0.3, 0.7)) as slam:
+    with Slam(CONFIG, start) as slam:
         pilot.steer(slam.take(first))
-        assert pilot.ahead(Pose(), 1).speed > 0.0
-        cov = np.diag([0.3, 0.2, 0.1]) ** 2
-        pilot.steer(slam.take(Tick(stamps[1], first.odometry @ Pose(3.0, -1.0, 0.4), increment_cov=cov)))
-        assert pilot.ahead(Pose(), 2) == Command()
-        pilot.steer(slam.take(Tick(stamps[2], first.odometry @ Pose(3.01, -1.0, 0.4))))
-        assert pilot.ahead(Pose(), 3) == Command()
-        pilot.steer(slam.take(Tick(stamps[3], first.odometry @ Pose(3.02, -1.0, 0.4), first.scan)))
-        assert pilot.ahead(Pose(), 4).speed > 0.0
+        at = first.odometry
+        for k in range(1, 5):
+            at = at @ step
+            late = step @ step @ step  # odometry is three steps ahead of the scan
+            pilot.ahead(step @ late, k)
+            scan = Scan.from_config(
+                cast_rays(start @ first.odometry.inverse() @ at, beam_bearings(CONFIG.laser), HALL, 9.0), CONFIG.laser
+            )
+            pilot.steer(slam.take(Tick(first.stamp_ns + 10**8 * k, at, scan)))
+            pilot.ahead(late, k)
+        returns = guard.returns()
+    T_world_guard = start @ first.odometry.inverse() @ at @ late @ guard._at.inverse()
+    far_m = [point_segment_distance(point, HALL).min() for point in T_world_guard @ returns.earlier]
+    assert len(far_m) > 50 and max(far_m) < 0.06
 
 
 def test_a_pilot_without_a_step_stands():

@@ -24,13 +24,19 @@ from sixthsense.running.warmup import warm_up, warm_up_scans
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 
 ODD_ROBOT = """
+import numpy as np
 import sixthsense.live.simulated as simulated
 from sixthsense.live.reading import TWIST_STAMPED
 
 class OddRobot(simulated.SimulatedRobot):
     def __init__(self, network, config, commands):
-        disturbance = simulated.Disturbance(late=0.2, lost=0.05, twice=0.1)
-        super().__init__(network, config, commands and TWIST_STAMPED, disturbance)
+        rng = np.random.default_rng(1)
+
+        def delays_s():
+            late, lost, twice, by = rng.random(4)
+            return [] if lost < 0.05 else [0.5 * by if late < 0.2 else 0.0] * (2 if twice < 0.1 else 1)
+
+        super().__init__(network, config, commands and TWIST_STAMPED, delays_s)
 
 simulated.SimulatedRobot = OddRobot
 """

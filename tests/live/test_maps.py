@@ -1,141 +1,92 @@
-"""Maps on the network: what a subscriber puts together of them is the map, whoever comes when."""
+"""The map on the network is the map that the run would draw, also when poses move."""
 
-import pickle
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.maps import MAP, UPDATES, Beginning, MapWriter, News, map_drawer, part_since
+from sixthsense.live import maps
+from sixthsense.live.maps import MAP, MapSender
 from sixthsense.record.messages import Messages
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 
-MAKE, STAMP = Messages(), 1_700_000_000_123_456_789
-NO_WALLS = np.zeros((0, 2, 2))
+MAKE = Messages()
+CONFIG = preset(grid={"cell_m": 0.15})
 
 
-class Network:
-    """A node, and a subscriber that puts the map together."""
+class Writer:
+    """A subscriber of the map."""
 
     def __init__(self) -> None:
-        self.readers, self.sent = {MAP.name: 0, UPDATES.name: 0}, []
-        self.is_lost = False
-        self.cells, self.info = np.zeros((0, 0), np.int8), None
+        self.sent: list[Any] = []
 
-    def writer(self, topic: Any) -> Any:
-        node = self
+    def send(self, data: bytes) -> bool:
+        self.sent.append(MAKE.store.deserialize_cdr(data, MAP.type))
+        return True
 
-        class Writer:
-            @property
-            def readers(self) -> int:
-                return node.readers[topic.name]
-
-            def send(self, data: bytes) -> bool:
-                if node.is_lost:
-                    return False
-                node.hear(topic.name, MAKE.store.deserialize_cdr(data, topic.type))
-                return True
-
-        return Writer()
-
-    def hear(self, name: str, message: Any) -> None:
-        self.sent.append(name)
-        if name == MAP.name:
-            self.info = message.info
-            self.cells = np.array(message.data).reshape(message.info.height, message.info.width)
-        else:
-            rows, cols = (
-                slice(at, at + size) for at, size in ((message.y, message.height), (message.x, message.width))
-            )
-            self.cells[rows, cols] = np.array(message.data).reshape(message.height, message.width)
+    @property
+    def cells(self) -> np.ndarray:
+        info = self.sent[-1].info
+        return np.array(self.sent[-1].data).reshape(info.height, info.width)
 
 
-def a_trace() -> Any:
-    config = preset(grid={"cell_m": 0.15})
-    return SimpleNamespace(grid=Grid(config.grid, 0.2), config=config)
+def idle(sender: MapSender) -> None:
+    """Wait until the thread has sent what it was offered."""
+    while sender._has_news.is_set():
+        pass
 
 
-def look(trace: Any, at: Pose, range_m: float) -> None:
-    """See around with beams of a length."""
-    ranges = np.linspace(0.6, 1.0, 200, dtype=np.float32) * np.float32(range_m)
-    trace.grid.add(at, Scan(ranges, np.float32(-2.9), np.float32(0.029), 9.0), NO_WALLS)
+def a_scan(rng: np.random.Generator) -> Scan:
+    return Scan(rng.uniform(1.0, 5.0, 200).astype(np.float32), np.float32(-2.9), np.float32(0.029), 9.0)
 
 
-def test_what_a_subscriber_puts_together_is_the_map_also_when_it_grows_is_lost_or_someone_comes():
-    node, trace, revision = Network(), a_trace(), None
-    writer = MapWriter(node)
-
-    def tell(at: Pose, range_m: float) -> list[str]:
-        look(trace, at, range_m)
-        node.sent.clear()
-        nonlocal revision
-        part = part_since(revision, STAMP, trace.grid, trace.config.grid.cell_m)
-        revision = trace.grid.changes.revision
-        assert part is not None and part_since(revision, STAMP, trace.grid, trace.config.grid.cell_m) is None
-        writer.take(part)
-        return list(node.sent)
-
-    assert tell(Pose(0.4, -0.3, 0.7), 3.0) == []  # to nobody
-    node.readers.update({MAP.name: 1, UPDATES.name: 1})
-    writer.serve()
-    assert node.sent == [MAP.name]
-    steps = [
-        (Pose(0.5, -0.3, 0.9), 3.1, {}, [UPDATES.name]),
-        (Pose(0.5, -0.2, 1.4), 3.2, {MAP.name: 2}, [MAP.name]),
-        (Pose(0.4, -0.1, 1.9), 3.1, {}, [MAP.name]),  # one of them takes no updates
-        (Pose(0.3, -0.1, 2.2), 3.3, {MAP.name: 1}, [UPDATES.name]),
-        (Pose(29.3, -37.1, 2.2), 3.3, {}, [MAP.name]),  # it has grown
-        (Pose(29.2, -37.0, 2.9), 3.4, {}, [UPDATES.name]),
-    ]
-    for at, range_m, readers, expected in steps:
-        node.readers.update(readers)
-        assert tell(at, range_m) == expected
-        np.testing.assert_array_equal(node.cells, trace.grid.occupancy())
-        assert set(np.unique(node.cells)) == {-1, 0, 100}
-        assert (node.info.origin.position.x, node.info.origin.position.y) == trace.grid.origin
-    node.is_lost = True
-    tell(Pose(29.1, -37.0, 0.2), 3.5)
-    node.is_lost = False
-    writer.serve()
-    assert node.sent == [MAP.name]
-    np.testing.assert_array_equal(node.cells, trace.grid.occupancy())
-
-
-def test_a_map_that_is_too_large_for_a_message_is_not_sent():
-    trace = a_trace()
-    look(trace, Pose(0.4, -0.3, 0.7), 3.0)
-    assert part_since(None, STAMP, trace.grid, trace.config.grid.cell_m) is not None
-    look(trace, Pose(1500.0, 1400.0, 0.7), 3.0)
-    assert part_since(None, STAMP, trace.grid, trace.config.grid.cell_m) is None
-
-
-def test_the_process_of_the_map_draws_what_the_run_would_draw_also_when_poses_move_and_a_map_begins_anew():
-    node, config, rng = Network(), preset(grid={"cell_m": 0.15}).grid, np.random.default_rng(4)
-    node.readers.update({MAP.name: 1, UPDATES.name: 1})
-    writer = MapWriter(node)
-    for origin, earlier in ((Pose(0.4, -0.3, 0.7), None), (Pose(-7.3, 4.1, 2.0), Grid(config, 0.2))):
-        if earlier is not None:
-            see = np.linspace(2.0, 4.0, 200, dtype=np.float32)
-            earlier.add(Pose(1.3, 5.2, 0.3), Scan(see, np.float32(-2.9), np.float32(0.029), 9.0), NO_WALLS)
-        evidence = None if earlier is None else earlier.submap()
-        own, sent, trajectory = Mapper(config, 0.2), 0, np.zeros((0, 3))
-        if evidence is not None:
-            own.start_from(evidence)
-        draw = map_drawer(writer, pickle.loads(pickle.dumps(Beginning(config, 0.2, evidence))))
+@pytest.mark.parametrize("is_prior", [False, True])
+def test_the_thread_sends_what_the_run_would_draw(is_prior, monkeypatch):
+    monkeypatch.setattr(maps, "_PERIOD_S", 0.0)
+    rng, writer, own = np.random.default_rng(4), Writer(), Mapper(CONFIG.grid, 0.2)
+    if is_prior:
+        earlier = Grid(CONFIG.grid, 0.2)
+        earlier.add(Pose(1.3, 5.2, 0.3), a_scan(rng), np.zeros((0, 2, 2)))
+        own.start_from(earlier.submap())
+    trace: Any = SimpleNamespace(config=CONFIG, radius_m=0.2, key_stamps_ns=[], live=SimpleNamespace(mapper=own))
+    trajectory = np.zeros((0, 3))
+    with MapSender(writer, print) as sender:
         for count in (1, 4, 13, 14, 31):
             for k in range(len(trajectory), count):
-                ranges = rng.uniform(1.0, 5.0, 200).astype(np.float32)
-                here = origin @ Pose(0.21 * k, 0.03 * k, 0.17 * k)
+                here = Pose(0.4, -0.3, 0.7) @ Pose(0.21 * k, 0.03 * k, 0.17 * k)
                 trajectory = np.vstack([trajectory + 0.004 * rng.standard_normal((k, 3)), here.array()])
-                walls = np.array([[[1.1, 2.2], [3.1, 2.4]]])
-                own.add(k, trajectory.copy, Scan(ranges, np.float32(-2.9), np.float32(0.029), 9.0), walls)
-            news = News(STAMP, None, own.additions(sent))
-            sent = count
-            grid = draw(pickle.loads(pickle.dumps(news)))
-            np.testing.assert_array_equal(grid.occupancy(), own.draw().occupancy())
-            np.testing.assert_array_equal(node.cells, grid.occupancy())
-            assert (node.info.origin.position.x, node.info.origin.position.y) == grid.origin
+                own.add(k, trajectory.copy, a_scan(rng), np.array([[[1.1, 2.2], [3.1, 2.4]]]))
+                trace.key_stamps_ns.append(k)
+            sender.offer(1_700_000_000_123_456_789 + count, trace)
+            idle(sender)
+            grid = own.draw()
+            np.testing.assert_array_equal(writer.cells, grid.occupancy())
+            origin = writer.sent[-1].info.origin.position
+            assert (origin.x, origin.y) == grid.origin and sender.seen_m2 == grid.seen_area_m2
+        sender.offer(2, trace)  # nothing is new
+        idle(sender)
+    assert len(writer.sent) == 5
+
+
+def test_a_map_that_is_too_large_for_a_message_is_told_once_and_not_sent(monkeypatch):
+    monkeypatch.setattr(maps, "_PERIOD_S", 0.0)
+    monkeypatch.setattr(maps, "LARGEST_MESSAGE_BYTES", 2000)
+    lines, writer, own = [], Writer(), Mapper(CONFIG.grid, 0.2)
+    trace: Any = SimpleNamespace(config=CONFIG, radius_m=0.2, key_stamps_ns=[], live=SimpleNamespace(mapper=own))
+    with MapSender(writer, lines.append) as sender:
+        for k in range(2):
+            own.add(
+                k,
+                lambda k=k: np.array([[0.4 * j, 0.0, 0.0] for j in range(k + 1)]),
+                a_scan(np.random.default_rng(k)),
+                np.zeros((0, 2, 2)),
+            )
+            trace.key_stamps_ns.append(k)
+            sender.offer(k, trace)
+            idle(sender)
+    assert not writer.sent and len(lines) == 1 and "the map is not sent any more" in lines[0]

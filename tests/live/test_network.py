@@ -14,7 +14,7 @@ from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.maps import MAP, UPDATES
+from sixthsense.live.maps import MAP
 from sixthsense.live.network import Network, Node
 from sixthsense.live.publishing import POSE
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageReader
@@ -50,7 +50,6 @@ MESSAGES = {
     TWIST_STAMPED: MAKE.twist_stamped(STAMP, "base_link", 0.25, -0.5),
     POSE.type: MAKE.estimate(STAMP, Pose(1.0, 2.0, 3.0), np.diag([0.1, 0.2, 0.3])),
     MAP.type: MAKE.occupancy(STAMP, np.array([[0, 100, -1], [-1, 0, 0]], dtype=np.int8), (-1.0, 2.0), 0.05),
-    UPDATES.type: MAKE.occupancy_update(STAMP, np.array([[0, 100, -1], [-1, 0, 0]], dtype=np.int8), (-7, 4)),
 }
 
 

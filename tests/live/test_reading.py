@@ -10,9 +10,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.live.reading import (
-    EMPTY,
     POSE,
-    SWITCH,
     TRANSFORMS,
     TWIST,
     TWIST_STAMPED,
@@ -20,7 +18,6 @@ from sixthsense.live.reading import (
     MessageReader,
     Notices,
 )
-from sixthsense.live.requests import PAUSE, RESET, SET_POSE, Pause, Reset, read_request
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.record.messages import Messages
@@ -147,8 +144,8 @@ def test_what_happens_is_counted_and_said_again_after_ten_seconds():
     notices.event("silence", "silent", 5)
     for fault in ("found 7, allowed: 5", "found 8, allowed: 5", "found x, allowed: a number"):
         notices.unusable("/scan", ValueError(fault))
-    notices.take({"scan late": 2})
-    notices.take({"scan late": 3})
+    notices.count({"scan late": 2})
+    notices.count({"scan late": 3})
     assert lines == [
         "jumped at 0 s", "jumped at 10 s", "silent",
         "/scan: found 7, allowed: 5; dropped", "/scan: found x, allowed: a number; dropped", "dropped: scan late",
@@ -219,23 +216,17 @@ def pose_message(frame: str = "map", cov: np.ndarray = COV) -> bytes:
     return MAKE.serialized(MAKE.estimate(STAMP, Pose(1.2, -3.4, 0.7), cov, frame), POSE)
 
 
-def test_a_user_asks_for_a_pose_a_pause_or_a_new_map():
-    reader, kinds = MessageReader(), MAKE.store.types
-    asked = read_request(reader, pose_message("/map"), SET_POSE)
-    assert asked.T_map_robot.array() == pytest.approx((1.2, -3.4, 0.7)) and asked.cov == pytest.approx(COV)
-    for value in (True, False):
-        assert read_request(reader, MAKE.serialized(kinds[SWITCH](value), SWITCH), PAUSE) == Pause(value)
-    assert read_request(reader, MAKE.serialized(kinds[EMPTY](0), EMPTY), RESET) == Reset()
+def test_a_pose_of_a_user_is_in_the_frame_of_the_map():
+    assert MessageReader().pose_in_map(pose_message("/map")).array() == pytest.approx((1.2, -3.4, 0.7))
 
 
 @pytest.mark.parametrize(
     ("data", "said"),
     [
         (pose_message("odom"), "found a pose in the frame odom, allowed: in map"),
-        (pose_message(cov=-COV), "pose: found an eigenvalue of "),
         (pose_message()[:60], "found a message that cannot be read"),
     ],
 )
-def test_a_pose_in_another_frame_or_with_an_impossible_covariance_is_refused(data, said):
+def test_a_pose_in_another_frame_or_of_damaged_bytes_is_refused(data, said):
     with pytest.raises(ValueError, match=said):
-        read_request(MessageReader(), data, SET_POSE)
+        MessageReader().pose_in_map(data)

@@ -2,47 +2,28 @@
 
 import gc
 import math
-import threading
 import tracemalloc
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from sixthsense.config import merge, preset
+from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
-from sixthsense.live.requests import Pause, Request, Reset, SetPose
-from sixthsense.live.robot import LiveRobot, Steering, placed
+from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
-from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import Messages
-from sixthsense.record.trace import Trace
-from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
 
 MS = 1_000_000
 BEGAN = 1_700_000_000_000 * MS
 MAKE = Messages()
-CONFIG = preset("log", robot={"speed": 0.5}, laser={"beams": 180})
-CORNERS = [(0, 0), (9, 0), (9, 4), (6, 4), (6, 7), (3, 7), (3, 5), (0, 5)]
-WALLS = np.array([CORNERS, np.roll(CORNERS, -1, axis=0).tolist()], dtype=np.float64).transpose(1, 0, 2)
-START, ELSEWHERE = Pose(2.0, 1.0), Pose(7.0, 2.0, 2.0)
-PAUSE_MS = 7000
-T_MAP_ODOM = Pose(1.5, -0.7, 0.8)  # the map is not in the frame of odometry, as with the map of an earlier run
-
-
-def taken(requests: list[Request]) -> list[Request]:
-    """The requests, which are then gone."""
-    found, requests[:] = requests[:], []
-    return found
 
 
 class Forward(Navigator):
@@ -71,10 +52,9 @@ class Bench:
         laser = LaserReader(reader, None, Pose(0.2, -0.3, 0.4))
         notices = Notices(self.lines.append)
         receive, now_ns = self._receive, lambda: self.now_ms * MS
-        trace = Trace(preset(**config), None, 0.2)
-        self.requests: list[Request] = []
-        steers = steering if drives else None
-        self.robot = LiveRobot(receive, reader, laser, notices, trace, steers, now_ns, lambda: taken(self.requests))
+        self.start: Pose | None = None
+        steers, readers = steering if drives else None, (reader, laser)
+        self.robot = LiveRobot(receive, readers, notices, preset(**config), steers, now_ns, lambda: self.start)
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
     def ahead(self, motion: Pose, stamp_ns: int) -> Command:
@@ -198,7 +178,7 @@ def test_a_publisher_that_takes_the_place_of_another_is_used_once_the_first_is_s
     bench.publishers, bench.off = ["again"], Pose(5.0, -4.0, 2.0)
     bench.run(2000)
     assert bench.robot.outcome is None and bench.sent[-1][1] == FORWARD
-    why = "after 0.4 s, its driver was started again; the robot is taken to stand where it was"
+    why = "after 0.4 s; the robot is assumed to stand where it was"
     assert any(line.startswith("odometry has jumped by ") and line.endswith(why) for line in bench.lines)
 
 
@@ -207,16 +187,41 @@ def test_odometry_that_jumps_within_a_moment_leaves_the_robot_where_it_was(bench
     bench.off = Pose(5.0, -4.0, 2.0)
     bench.run(1500)
     (line,) = bench.lines
-    assert line.endswith("faster than `robot.speed` and `robot.turn_rate`; the robot is taken to stand where it was")
-    assert bench.commands(200) == {FORWARD}
+    assert line.endswith("the robot is assumed to stand where it was") and bench.commands(200) == {FORWARD}
+    tick = bench.last
+    expected = bench.pose_at((tick.stamp_ns - BEGAN) / MS)
+    assert tick.odometry.array() == pytest.approx(expected.array(), abs=0.02)
+    T_map_robot = Pose(1.0, 2.0, 0.5)
+    sent = bench.off @ expected  # what the robot's own odometry is in the map
+    assert (bench.robot.odom_in_map(tick, T_map_robot) @ sent).array() == pytest.approx(T_map_robot.array(), abs=0.02)
 
 
-def test_a_clock_that_jumps_is_told(bench):
+@pytest.mark.parametrize("drives", [True, False])
+def test_a_robot_that_may_be_elsewhere_is_lost_and_the_run_ends(drives):
+    bench = Bench(drives)
+    bench.run(1000)
+    bench.has_odometry = False
+    bench.turn(1800)
+    bench.has_odometry, bench.off = True, Pose(5.0, -4.0, 2.0)
+    while bench.robot.step(Command()) is not None:
+        assert bench.now_ms < 2200
+    assert bench.robot.outcome == "lost" and (not drives or bench.sent[-1][1] == Command())
+    assert any("faster than `robot.speed` and `robot.turn_rate`" in line for line in bench.lines)
+    bench.slam.close()
+
+
+def test_a_clock_that_jumps_ends_the_run_and_a_single_wrong_stamp_does_not(bench):
     bench.run(1000)
     bench.began -= 3_600_000 * MS
-    bench.run(2000)
-    assert "the robot's clock has jumped; the map goes on" in bench.lines
-    assert bench.robot.joiner.clock.jumps == 1
+    bench.turn(1020)
+    bench.began += 3_600_000 * MS
+    bench.run(1500)
+    assert bench.robot.outcome is None
+    bench.began -= 3_600_000 * MS
+    while bench.robot.step(Command()) is not None:
+        assert bench.now_ms < 1700
+    assert bench.robot.outcome == "lost" and bench.sent[-1][1] == Command()
+    assert bench.lines[-1] == "the robot's clock has jumped; the robot is stopped"
 
 
 def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if_it_stays(bench):
@@ -234,15 +239,11 @@ def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if
 
 
 def test_the_source_keeps_nothing_of_what_has_passed(bench):
-    """What grows with time is the record, and the map with the way driven; clocks are compared for half a minute."""
+    """What grows with time is the record, and the map with the way driven."""
 
     def memory_after(until_ms: int) -> int:
         while bench.now_ms < until_ms:
             bench.robot.step(Command())
-        for thread in threading.enumerate():  # one compares the clocks
-            if thread.name == "clocks":
-                thread.join(20.0)
-        bench.robot.step(Command())
         bench.sent.clear()
         bench.asked.clear()
         gc.collect()
@@ -257,193 +258,25 @@ def test_the_source_keeps_nothing_of_what_has_passed(bench):
         tracemalloc.stop()
 
 
-# --- odometry that begins anew elsewhere: the robot is searched in the map so far
+def test_a_map_begins_where_the_robot_is_set_to_before_the_first_scan_and_a_later_pose_is_refused():
+    bench, wanted = Bench(drives=False), Pose(-3.0, 5.0, 2.2)
+    bench.start = wanted
+    first = bench.robot.step(Command())
+    assert bench.lines == ["the map begins at -3.00 m, 5.00 m, 126°"]
+    bench.start = None
+    last = first
+    while last.scan is None:
+        last = bench.robot.step(Command())
+    start_ms = (first.stamp_ns - BEGAN) / MS
+    expected = wanted @ bench.pose_at(start_ms).between(bench.pose_at((last.stamp_ns - BEGAN) / MS))
+    assert last.odometry.array() == pytest.approx(expected.array(), abs=0.02)
+    bench.start = Pose(9.0, 9.0, 0.0)
+    follow = bench.robot.step(Command())
+    assert bench.lines[-1].startswith("a pose is left out") and follow.odometry.position[0] < 0.0
+    bench.slam.close()
 
 
-class Driver:
-    """Drives a circle, is switched off after a while, and started again 7 s later, with the robot at a place."""
-
-    def __init__(self, place: Pose | None, T_anew_world: Pose, off_ms: int = 12_000) -> None:
-        """`place` is None where the robot stands; odometry then begins in another frame."""
-        self.now_ms, self.off_ms = 0, off_ms
-        self.place, self.T_anew_world = place, T_anew_world
-        self.name = "driver"
-        self.requests: dict[int, Request] = {}
-        """by the time from which they are there, ms"""
-        self.sent: dict[int, Pose] = {}
-        """odometry by stamp"""
-        self.odom_in_map: dict[int, Pose] = {}
-        """what is published, by the stamp of the scan"""
-        self.world = self._at(START)
-        self.truths: dict[int, Pose] = {}
-
-    def _at(self, place: Pose) -> World:
-        return World(WALLS, place, 0.2, CONFIG, np.random.default_rng(0))
-
-    def receive(self, timeout_s: float) -> list[tuple[bool, Message]]:
-        if self.now_ms == self.off_ms:
-            self.now_ms += PAUSE_MS
-            last = self.truths[max(self.truths)]
-            self.world, self.name = self._at(self.place or last), "driver again"
-        self.now_ms += 20
-        tick = self.world.step(Command(0.4, 0.4))
-        assert tick is not None and tick.truth is not None
-        stamp_ns = BEGAN + self.now_ms * MS
-        self.truths[stamp_ns] = tick.truth
-        pose = tick.odometry if self.name == "driver" else self.T_anew_world @ tick.odometry
-        self.sent[stamp_ns] = pose
-        found = [(False, MAKE.serialized(MAKE.odometry(stamp_ns, pose), ODOMETRY))]
-        if tick.scan is not None:
-            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, tick.scan), LASER_SCAN)))
-        return [(is_scan, Message(data, self.name)) for is_scan, data in found]
-
-    def due(self) -> list[Request]:
-        return [self.requests.pop(ms) for ms in sorted(self.requests) if ms <= self.now_ms]
-
-
-def run(
-    driver: Driver,
-    max_time_s: float,
-    steering: Callable[[Guard], Steering] | None = None,
-    T_map_odom: Pose = T_MAP_ODOM,
-) -> tuple[Trace, LiveRobot, list[str]]:
-    config, lines = merge(CONFIG, {"max_time": max_time_s}), []
-    trace, reader, guard = Trace(config, None, 0.2), MessageReader(), Guard(config, 0.2)
-    laser, notices = LaserReader(reader, CONFIG.laser.max_range, Pose()), Notices(lines.append)
-    steers = None if steering is None else steering(guard)
-    robot = LiveRobot(driver.receive, reader, laser, notices, trace, steers, lambda: driver.now_ms * MS, driver.due)
-    start = robot.begin()
-    assert start is not None
-
-    def odom_in_map(tick: Tick, trace: Trace) -> None:
-        if tick.scan is not None:
-            driver.odom_in_map[tick.stamp_ns] = robot.odom_in_map(tick, Pose.from_array(trace.estimates[-1]))
-
-    recorded_drive(robot, T_map_odom @ start, Pilot(Navigator(), guard), trace, odom_in_map)
-    return trace, robot, lines
-
-
-def errors_m(trace: Trace, driver: Driver) -> np.ndarray:
-    """Of the scans since the pause."""
-    after = [k for k, stamp in enumerate(trace.stamps_ns) if stamp > BEGAN + driver.off_ms * MS]
-    truths = np.array([(T_MAP_ODOM @ driver.truths[trace.stamps_ns[k]]).position for k in after])
-    return np.linalg.norm(np.array([trace.estimates[k][:2] for k in after]) - truths, axis=1)
-
-
-@pytest.mark.parametrize(
-    ("place", "T_anew_world", "lost_s"),
-    [
-        (None, Pose(40.0, -7.0, 1.0), 0.2),  # a driver that begins at another pose
-        (ELSEWHERE, Pose(), 0.2),  # odometry of one frame, as where the driver keeps it
-        (ELSEWHERE, Pose(40.0, -7.0, 1.0), 12.0),  # carried: nothing says where
-    ],
-)
-def test_a_robot_that_is_started_again_is_found_in_the_map(place, T_anew_world, lost_s):
-    driver = Driver(place, T_anew_world)
-    trace, robot, lines = run(driver, 24.0 + lost_s)
-    assert trace.outcome == "log ended" and robot.outcome is None
-    assert lines[0].endswith("its driver was started again; the pose is unknown and searched in the map")
-    assert lines[-1] == "the robot's place in the map is found; the map goes on"
-    anew_ns = BEGAN + (driver.off_ms + PAUSE_MS) * MS
-    found_ns = min(stamp for stamp in trace.stamps_ns if stamp > anew_ns)
-    assert found_ns - anew_ns <= (lost_s + 0.2) * 1e9
-    errors = errors_m(trace, driver)
-    assert errors.max() < 0.3 and errors[-1] < 0.03  # as uncertain as is said, until a loop is closed
-    assert len(trace.carried_scans()) == 1
-
-
-def test_the_tick_of_a_place_that_was_found_is_known_to_decimetres_and_has_no_scan():
-    scan = Scan(np.array([2.5, 3.5], np.float32), np.float32(-0.7), np.float32(0.3), 9.0)
-    T, tick = Pose(1.5, -0.7, 0.8), Tick(7, Pose(0.3, 0.4, 0.5), scan)
-    found = placed(tick, T)
-    assert (found.stamp_ns, found.odometry, found.scan) == (7, T @ tick.odometry, None)
-    assert found.increment_cov == pytest.approx(np.diag([0.09, 0.09, 0.01]))
-
-
-def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
-    driver, sent = Driver(ELSEWHERE, Pose(40.0, -7.0, 1.0)), []
-
-    def steering(guard: Guard) -> Steering:
-        return Steering(AheadPilot(Navigator(), guard), sent.append, lambda: 1)
-
-    trace, robot, lines = run(driver, 45.0, steering)
-    assert robot.outcome == "lost" and sent[-1] == Command()
-    assert lines[-1] == "the robot's place in the map is not found; the robot is stopped"
-    assert trace.stamps_ns[-1] <= BEGAN + driver.off_ms * MS
-
-
-# --- what a user asks of a run
-
-COV = np.array([[0.36, 0.05, 0.0], [0.05, 0.16, 0.01], [0.0, 0.01, 0.05]])
-NEVER_MS = 10**6
-
-
-def test_a_pose_that_is_set_is_that_of_the_robot_from_then_on_as_uncertain_as_it_is_said_to_be():
-    driver, wanted = Driver(None, Pose(), NEVER_MS), Pose(-3.0, 5.0, 2.2)
-    driver.requests[4400] = SetPose(wanted, COV)
-    trace, _, lines = run(driver, 5.4)
-    asked_ns = BEGAN + 4400 * MS
-    assert lines[0] == "the pose is set to -3.00 m, 5.00 m, 126°"
-    after = [k for k, stamp in enumerate(trace.stamps_ns) if stamp > asked_ns]
-    assert len(after) > 5 and trace.stamps_ns[after[0]] <= asked_ns + 300 * MS
-    for k in after:
-        expected = wanted @ driver.truths[asked_ns].inverse() @ driver.truths[trace.stamps_ns[k]]
-        found = Pose.from_array(trace.estimates[k])
-        assert found.position == pytest.approx(expected.position, abs=0.02)
-        published = driver.odom_in_map[trace.stamps_ns[k]] @ driver.sent[trace.stamps_ns[k]]
-        assert published.position == pytest.approx(found.position, abs=1e-6)
-    key = trace.key_estimates[trace.last_key[after[0]]]
-    assert key.pose_cov[:2, :2] == pytest.approx(COV[:2, :2], abs=0.02)
-    assert key.pose_cov[2, 2] == pytest.approx(0.05, abs=0.003)
-    assert trace.carried_scans() == [after[0]]
-
-
-def test_a_map_begins_where_the_robot_is_said_to_be_before_the_first_scan():
-    driver, wanted = Driver(None, Pose(), NEVER_MS), Pose(-3.0, 5.0, 2.2)
-    driver.requests[0] = SetPose(wanted, COV)
-    trace, _, lines = run(driver, 1.0, T_map_odom=Pose())
-    assert lines == ["the pose is set to -3.00 m, 5.00 m, 126°"] and not trace.carried_scans()
-    first_ns = trace.stamps_ns[0]
-    expected = wanted @ driver.truths[BEGAN + 20 * MS].inverse() @ driver.truths[first_ns]
-    assert trace.estimates[0] == pytest.approx(expected.array(), abs=0.01)
-    assert (driver.odom_in_map[first_ns] @ driver.sent[first_ns]).array() == pytest.approx(trace.estimates[0])
-
-
-def test_a_paused_run_takes_no_scans_and_goes_on_where_the_robot_has_driven_meanwhile():
-    driver = Driver(None, Pose(), NEVER_MS)
-    driver.requests |= {3000: Pause(True), 8000: Pause(False)}
-    trace, robot, lines = run(driver, 10.0)
-    seconds = (np.array(trace.stamps_ns) - BEGAN) * 1e-9
-    assert lines == ["paused: scans are left out", "the pause is over; the map goes on"]
-    assert not np.any((seconds > 3.1) & (seconds < 8.0)) and np.count_nonzero(seconds > 8.0) > 10
-    assert robot.joiner.dropped.total() == 0
-    driver.off_ms = 8000
-    assert errors_m(trace, driver).max() < 0.03 and not trace.carried_scans()
-
-
-def test_a_driven_robot_stands_while_the_run_is_paused_and_until_it_has_seen_where_it_was_set_to(bench):
-    bench.run(1000)
-    bench.requests.append(Pause(True))
-    bench.run(2000)
-    assert bench.commands(1060) == {Command()}
-    bench.requests.append(Pause(False))
-    bench.run(3000)
-    assert bench.sent[-1][1] == FORWARD
-    bench.robot._T_odom_map = Pose(3.0, 4.0, 0.5)
-    bench.requests.append(SetPose(Pose(1.0, 2.0, 0.3), COV))
-    bench.run(3300)
-    stood_ms = [ms for ms, command in bench.sent if ms > 3000 and command == Command()]
-    assert stood_ms and max(stood_ms) - 3000 <= 240
-    assert bench.sent[-1][1] == FORWARD
-
-
-def test_a_reset_ends_a_run_that_has_a_map_and_stops_the_robot(bench):
-    bench.requests.append(Reset())
-    bench.run(1000)
-    assert bench.robot.outcome is None and bench.sent[-1][1] == FORWARD
-    bench.robot._T_odom_map = Pose(3.0, 4.0, 0.5)
-    bench.requests.append(Reset())
-    while bench.robot.step(Command()) is not None:
-        assert bench.now_ms < 1100
-    assert bench.robot.outcome == "reset" and bench.sent[-1][1] == Command()
-    assert bench.lines == ["a new map is asked for; the robot is stopped"]
+def test_a_driven_robot_takes_no_start(bench):
+    bench.start = Pose(1.0, 2.0, 0.3)
+    bench.run(500)
+    assert bench.lines[0].startswith("a pose is left out")

@@ -5,7 +5,7 @@ import itertools
 import math
 import os
 import threading
-from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,8 +20,8 @@ from sixthsense.live import session as session_module
 from sixthsense.live import simulated
 from sixthsense.live.network import Endpoint, Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST_STAMPED, MessageReader
-from sixthsense.live.session import Session, Topics, check_drive
-from sixthsense.live.simulated import Disturbance, SimulatedRobot, check_alone, cmd_vel, drive_by_commands
+from sixthsense.live.session import Session, Topics, check_confined, check_drive
+from sixthsense.live.simulated import SimulatedRobot, check_alone, cmd_vel, drive_by_commands
 from sixthsense.live.topics import SENSOR
 from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.logs.transforms import FramePair, TransformTree
@@ -135,19 +135,6 @@ def test_a_robot_stands_when_no_command_has_come_for_its_timeout_and_the_drive_e
     assert (moved_s[0], moved_s[-1]) == (pytest.approx(0.05), pytest.approx(0.55, abs=0.051))
 
 
-def test_scans_are_late_lost_and_doubled_in_their_shares():
-    rng, count = np.random.default_rng(3), 20_000
-    delays = [Disturbance(0.3, 0.2, 0.1).delays(rng) for _ in range(count)]
-    sent = [found for found in delays if found]
-    late = np.array([found[0] for found in sent if found[0] > 0.0])
-    for share, expected in (
-        (len(sent) / count, 0.8), (sum(len(found) == 2 for found in sent) / len(sent), 0.1),
-        (len(late) / len(sent), 0.3), (late.mean(), 0.25),
-    ):  # fmt: skip
-        assert share == pytest.approx(expected, abs=0.02)
-    assert 0.48 < late.max() <= 0.5
-
-
 def test_of_two_simulators_that_begin_at_once_one_stays():
     class Two:
         def publishers(self, name: str) -> list[Endpoint]:
@@ -183,9 +170,15 @@ def test_a_network_is_found_by_multicast_beside_its_peers_unless_it_is_this_mach
     assert found == [{"name" if one == "eth0" else "address": one} for one in network.interfaces]
 
 
-def test_the_documented_configuration_is_the_one_that_is_used():
-    page = Path(__file__).parents[2] / "docs" / "howto" / "live.md"
-    assert f"```xml\n{Network(0, ('eth0',), ('10.0.0.2',)).xml()}\n```" in page.read_text(encoding="utf-8")
+def test_a_loopback_that_others_may_reach_is_told_and_no_robot_is_driven_there():
+    lines, node = [], SimpleNamespace(is_confined=False)
+    check_confined(Network(), node, lines.append, drive=False)
+    assert len(lines) == 1 and "other machines" in lines[0]
+    with pytest.raises(InputError, match="interface: found the loopback"):
+        check_confined(Network(), node, lines.append, drive=True)
+    for network, confined in ((Network(), True), (Network(7, ("192.168.1.7",)), False)):
+        check_confined(network, SimpleNamespace(is_confined=confined), lines.append, drive=True)
+    assert len(lines) == 1
 
 
 @pytest.mark.parametrize(
