@@ -84,7 +84,7 @@ def one_audit(seed: int, case: tuple[float, int, float]) -> tuple[str, float, fl
     found = ss.audit(
         (stamps_s, poses, np.broadcast_to(stated * covariance(dof), (POSES, dof, dof))), (stamps_s, truth)
     ).findings
-    return found.outcome, found.samples, found.factor.value, found.factor.interval
+    return found.outcome, found.pose.samples, found.factor, found.pose.interval
 
 
 def frame_audit(seed: int, case: str) -> Audit:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sixthsense.auditing.hints import hints
+from sixthsense.auditing.mistakes import WRONG, of_errors, of_poses
 from sixthsense.auditing.opening import Options, Order, Source, open_estimate, open_truth
 from sixthsense.auditing.pairing import (
     Align,
@@ -19,12 +19,14 @@ from sixthsense.auditing.pairing import (
     same_space,
     time_offset,
 )
-from sixthsense.auditing.pairs import Hat, pair_findings, three_cornered_hat
+from sixthsense.auditing.pairs import pair_findings
 from sixthsense.auditing.poses import Frame, Poses
-from sixthsense.auditing.result import Audit, axis_notes, read_as
-from sixthsense.auditing.scores import TrajectoryErrors, pooled, scores, trajectory_errors
-from sixthsense.auditing.statistics import findings, is_other_frame
+from sixthsense.auditing.result import Audit
+from sixthsense.auditing.scores import TrajectoryErrors, pooled, trajectory_errors
+from sixthsense.auditing.statistics import AXES, findings, is_other_frame
 from sixthsense.config.errors import InputError
+
+_FRAMES = {"world": "the world's axes, rotations about fixed axes", "body": "the body's axes"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +43,11 @@ class _Compared:
     notes: tuple[str, ...]
 
 
-_ORDINALS = ("first", "second", "third")  # names of systems that are arrays
-
-
 def audit(
     estimate: Source | list[Source],
     truth: Source | list[Source] | None = None,
     *,
-    pair: Source | list[Source] | None = None,
+    pair: Source | None = None,
     covariance: str | Path | list[str | Path] | None = None,
     topic: str = "",
     pair_topic: str = "",
@@ -58,6 +57,7 @@ def audit(
     order: Order = "translation",
     align: Align | None = None,
     time_offset: float | None = None,
+    same_start: bool = False,
 ) -> Audit:
     """Audit the covariances of any system: whether its errors against the truth are as large as it says.
 
@@ -74,9 +74,8 @@ def audit(
     truth
         A bag, a TUM file, the folder of a run, a run, or arrays; a list for a list. By default that of the run.
     pair
-        Without a truth: another system on the same drive, with covariances, in the forms of `estimate`; or two of them,
-        so that each one's own factor can be told. At least one is overconfident if they differ by more than their
-        covariances allow.
+        Without a truth: another system on the same drive, with covariances, in the forms of `estimate`. At least one is
+        overconfident if they differ by more than their covariances allow.
     covariance
         With a TUM file: the file with a stamp and the 6 or 21 numbers of the upper triangle in each line. With `pair` a
         list, that of the estimate first.
@@ -91,6 +90,8 @@ def audit(
         "all", the default with `pair`: the motion with the least sum of NEES, whose degrees of freedom are taken off.
     time_offset
         Search an offset of the stamps up to so many seconds, where the mean NEES is least.
+    same_start
+        Whether both begin together, by other clocks: stamps count from the first pose of each.
 
     Raises
     ------
@@ -98,32 +99,37 @@ def audit(
         In one line, for files that cannot be read, covariances that are none, and poses that cannot be compared.
 
     """
-    options = Options(topic, pair_topic, truth_topic, truth_frames, frame, order, align, time_offset)
+    options = Options(topic, pair_topic, truth_topic, truth_frames, frame, order, align, time_offset, same_start)
     if pair is not None:
         if truth is not None or isinstance(estimate, list):
             raise InputError("pair", "found beside a truth or several estimates", "one estimate, and no truth")
-        return _audit_pair([estimate, *(pair if isinstance(pair, list) else [pair])], covariance, options)
+        if isinstance(pair, list):
+            raise InputError("pair", f"found a list of {len(pair)}", "one system")
+        return _audit_pair(estimate, pair, covariance, options)
     return _audit_truth([_compared(*one, options) for one in _matched(estimate, truth, covariance)], options)
 
 
 def _audit_truth(runs: list[_Compared], options: Options) -> Audit:
     """The audit of runs beside their truths, which are pooled."""
-    align = options.align or "none"
-    own, other = [run.errors for run in runs], [run.other for run in runs]
+    align, first, several = options.align or "none", runs[0].estimate, len(runs) > 1
+    own = [run.errors for run in runs]
     if len({run.error.shape[1] for run in own}) > 1:
         raise InputError("estimate", "found runs in the plane and in space", "all in one of them")
-    first, several = runs[0].estimate, len(runs) > 1
     read: Frame = first.frame or "world"
     found = findings(own, align, read)
     notes = [f"{run.estimate.name}: {note}" if several else note for run in runs for note in run.notes]
-    notes += [*axis_notes(found), *_other_frame(own, other, align, read)]
+    if is_other_frame(own, [run.other for run in runs]):
+        other: Frame = "body" if read == "world" else "world"
+        nees = findings([run.other for run in runs], align, other).pose.nees
+        notes.append(
+            f"the NEES depends on the heading: the covariances may have the axes of the {other}, where the NEES is "
+            f"{nees:.3g} (frame {other})"
+        )
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
-    words = read_as(read, found.dof, options.order, options.frame is None and bool(first.frames[0]))
-    offsets = tuple(run.offset.seconds for run in runs if run.offset is not None) or None
+    offsets = tuple(run.offset for run in runs if run.offset is not None)
     trajectory = pooled([(len(run.truth), run.trajectory) for run in runs])
-    return Audit(
-        found, scores(own), tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory
-    )
+    words = _read_as(first, read, found.pose.dof, options)
+    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory)
 
 
 def _matched(
@@ -147,82 +153,56 @@ def _matched(
 
 def _compared(source: Source, true: Source | None, covariance: Path | None, options: Options) -> _Compared:
     estimate = open_estimate(source, covariance, options)
-    frame: Frame = estimate.frame or "world"
-    estimate = replace(estimate, frame=frame)
-    truth = open_truth(true, estimate, source, options)
-    return _side_by_side(estimate, truth, options.align or "none", options)
+    return _side_by_side(estimate, open_truth(true, estimate, source, options), options.align or "none", options)
 
 
 def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options) -> _Compared:
     frame: Frame = estimate.frame or "world"
-    offset, offset_s = None, 0.0
+    offset, offset_ns = None, 0
+    if options.same_start:
+        truth = replace(truth, stamps_ns=truth.stamps_ns - truth.stamps_ns[0] + estimate.stamps_ns[0])
     if options.time_offset is not None:
         plain = same_space(estimate, truth)
         offset = time_offset(plain[0], plain[1], options.time_offset, align, frame)
-        offset_s = offset.seconds
-    pair = paired(estimate, truth, round(1e9 * offset_s))
+        offset_ns = round(1e9 * offset.seconds)
+    pair = paired(replace(estimate, frame=frame), truth, offset_ns)
     check_is_not_the_truth(pair)
     motion = aligned(pair, align, frame)
-    own, other = (errors_of(pair, motion, align, one) for one in (frame, _other(frame)))
-    trajectory = trajectory_errors(pair)
-    notes = (*pair.notes, *hints(pair, align), *_of_offset(offset))
-    return _Compared(estimate, pair.truth, own, other, offset, trajectory, notes)
+    own, other = (errors_of(pair, motion, align, one) for one in (frame, "body" if frame == "world" else "world"))
+    wrong = [f"{WRONG}: {mistake}" for mistake in of_errors(own)] if truth.covs is None else []
+    notes = (*pair.notes, *of_poses(pair, align), *wrong)
+    return _Compared(estimate, pair.truth, own, other, offset, trajectory_errors(pair), notes)
 
 
-def _of_offset(offset: Offset | None) -> list[str]:
-    if offset is None:
-        return []
-    return [
-        f"the offset is {1e3 * offset.seconds:+.1f} ms with a sigma of {1e3 * offset.sigma_s:.1f} ms; an error along "
-        f"the way of {1e3 * offset.along_m:.0f} mm at the mean speed would look the same, and is taken off with it"
-    ]
-
-
-def _audit_pair(sources: list[Source], covariance: str | Path | list[str | Path] | None, options: Options) -> Audit:
-    """The audit of two systems, or three, by each other."""
-    if len(sources) not in (2, 3):
-        raise InputError("pair", f"found {len(sources) - 1}", "one system or two")
+def _audit_pair(
+    source: Source, second: Source, covariance: str | Path | list[str | Path] | None, options: Options
+) -> Audit:
+    """The audit of two systems by each other."""
     align = options.align or "all"
     if align == "first":
         raise InputError("align", "found first with `pair`", "none or all")
     of_pair = replace(options, topic=options.pair_topic or options.topic)
+    opened = [
+        open_estimate(one, file, of_pair if k else options)
+        for k, (one, _, file) in enumerate(_matched([source, second], None, covariance))
+    ]
+    # Arrays have no name of their own.
     systems = [
-        replace(found, frame=found.frame or "world", name=_ORDINALS[k] if found.name == "estimate" else found.name)
-        for k, (source, _, file) in enumerate(_matched(sources, None, covariance))
-        for found in [open_estimate(source, file, of_pair if k else options)]
+        replace(one, frame=one.frame or "world", name=name if one.name == "estimate" else one.name)
+        for one, name in zip(opened, ("first", "second"), strict=True)
     ]
-    first = _side_by_side(systems[0], systems[1], align, options)
+    run = _side_by_side(systems[0], systems[1], align, options)
     read: Frame = systems[0].frame or "world"
-    found = findings([first.errors], align, read)
-    assert first.errors.of_estimate is not None
-    hats = () if len(systems) == 2 else _hats(systems, align, options)
-    judged = pair_findings(found, first.errors, first.errors.of_estimate, first.truth.positions, hats)
-    words = read_as(read, found.dof, options.order, options.frame is None and bool(systems[0].frames[0]))
-    names = systems[0].name, " and ".join(system.name for system in systems[1:])
-    offsets = None if first.offset is None else (first.offset.seconds,)
-    judged_by, told = scores([first.errors]), (first.errors,)
-    return Audit(found, judged_by, told, read, align, words, names, offsets, first.notes, None, judged)
+    found = findings([run.errors], align, read)
+    assert run.errors.of_estimate is not None
+    judged = pair_findings(found, run.errors, run.errors.of_estimate)
+    offsets = () if run.offset is None else (run.offset,)
+    names, words = (systems[0].name, systems[1].name), _read_as(systems[0], read, found.pose.dof, options)
+    return Audit(found, (run.errors,), read, align, words, names, offsets, run.notes, None, judged)
 
 
-def _hats(systems: list[Poses], align: Align, options: Options) -> tuple[Hat, ...]:
-    """The factors of three systems, from the differences of two from the first at the stamps that all have."""
-    at_second = paired(systems[1], systems[2]).truth
-    second, third = (_side_by_side(one, systems[0], align, options).errors for one in (systems[1], at_second))
-    second, third = second.at(third.stamps_ns), third.at(second.stamps_ns)
-    assert second.of_estimate is not None and third.of_estimate is not None
-    covs = second.cov - second.of_estimate, second.of_estimate, third.of_estimate
-    return three_cornered_hat(second, third, covs)
-
-
-def _other_frame(own: Sequence[Errors], other: Sequence[Errors], align: Align, frame: Frame) -> list[str]:
-    if not is_other_frame(own, other):
-        return []
-    nees = findings(other, align, _other(frame)).nees
-    return [
-        f"the NEES depends on the heading: the covariances may have the axes of the {_other(frame)}, where the NEES is "
-        f"{nees:.3g} (frame {_other(frame)})"
-    ]
-
-
-def _other(frame: Frame) -> Frame:
-    return "body" if frame == "world" else "world"
+def _read_as(estimate: Poses, frame: Frame, dof: int, options: Options) -> str:
+    """How the covariances were read: whose axes, and which half is first."""
+    space = f"SE({2 if dof == 3 else 3}): {', '.join(AXES[frame, dof])}"
+    origin = " (the convention of ROS)" if options.frame is None and estimate.frames[0] else ""
+    return f"in {_FRAMES[frame]}{origin}; {options.order} first; {space}"

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sixthsense.auditing.mistakes import WRONG, headings_in_degrees, of_estimate
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, poses_from
-from sixthsense.auditing.validation import faults, of_degrees
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked, shown
 from sixthsense.core.arguments import as_array
-from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.logs import is_run_folder, kind_of
+from sixthsense.logs.stamps import matched, unit_of
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -53,6 +53,8 @@ class Options:
     """how the estimate is brought into the frame of the truth; by default not, and by all poses into that of a pair"""
     time_offset: float | None = None
     """largest offset of the stamps to search, s; None: none is searched"""
+    same_start: bool = False
+    """whether both begin together: stamps count from the first pose of each"""
 
     def __post_init__(self) -> None:
         for name, known in (("frame", Frame | None), ("order", Order), ("align", Align | None)):
@@ -77,7 +79,7 @@ def open_estimate(source: Source, covariance: Path | None, options: Options) -> 
     assert poses.covs is not None
     check_covariances(poses)
     poses = _ordered(poses, options)
-    notes = *poses.notes, *(f"cannot be right: {fault}" for fault in faults(poses))
+    notes = *poses.notes, *(f"{WRONG}: {mistake}" for mistake in of_estimate(poses))
     return replace(poses, notes=notes, frame=options.frame or poses.frame)
 
 
@@ -111,8 +113,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
     from sixthsense.logs.trajectories import read_trajectory
 
     notes: list[str] = []
-    stamps, values = read_trajectory(_file(path), notes)
-    return replace(poses_from(str(path), stamps, values), notes=tuple(notes))
+    return _noted(poses_from(str(path), *read_trajectory(_file(path), notes)), notes)
 
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
@@ -129,7 +130,6 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
             f"found nothing for {path}",
             "a file with a stamp and 6 or 21 numbers of the upper triangle in each line",
         )
-    from sixthsense.logs.stamps import matched
     from sixthsense.logs.trajectories import read_covariances, read_trajectory
 
     notes: list[str] = []
@@ -143,7 +143,11 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if not has.all() or off_s > _ROUNDED_S:
         count = f"{np.count_nonzero(has):,} of {len(has):,} poses"
         notes.append(f"{count} have a covariance within half a period, {off_s:.3g} s away at most")
-    return replace(poses_from(str(path), stamps[has], values[has], covs[rows[has]]), notes=tuple(notes))
+    return _noted(poses_from(str(path), stamps[has], values[has], covs[rows[has]]), notes)
+
+
+def _noted(poses: Poses, notes: list[str]) -> Poses:
+    return replace(poses, notes=(*notes, *poses.notes))
 
 
 def _file(path: Path) -> Path:
@@ -206,8 +210,8 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
     """Poses from the caller's arrays; InputError names the array, what was expected and what was found."""
     if isinstance(given, (bytes, dict)) or not hasattr(given, "__len__") or len(given) != len(names):
         raise InputError(what, f"found {_described(given)}", f"a file, a run, or arrays ({', '.join(names)})")
+    stamps_ns, notes = _nanoseconds(what, given[0])
     try:
-        stamps_s = as_array(f"{what} stamps", given[0], ("N",))
         poses = as_array(f"{what} poses", given[1], ("N", "n", "n") if np.ndim(given[1]) == 3 else ("N", "n"))
         if poses.shape[1:] not in ((3,), (7,), (3, 3), (4, 4)):
             raise ValueError(f"{what} poses: expected {_FORMS}, got shape {poses.shape}")
@@ -215,20 +219,39 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         if len(names) == 3:
             size = 6 if np.shape(given[2])[-1:] == (6,) else 3
             covs = as_array(f"{what} covariances", given[2], ("N", size, size), finite=False)
-        if len(stamps_s) == 0 or any(len(one) != len(stamps_s) for one in (poses, covs) if one is not None):
+        if len(stamps_ns) == 0 or any(len(one) != len(stamps_ns) for one in (poses, covs) if one is not None):
             raise ValueError(f"{what}: expected as many stamps as poses and covariances, at least one")
     except ValueError as error:
         raise InputError("", str(error)) from None
     if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
         raise InputError(f"{what} covariances", "found 6 x 6 of planar poses", "3 x 3")
-    if poses.shape[1:] == (3,) and (fault := of_degrees(poses[:, 2])):
+    if poses.shape[1:] == (3,) and (fault := headings_in_degrees(poses)):
         raise InputError(f"{what} poses", f"found headings in degrees: {fault}", "radians")
-    return poses_from(what, _nanoseconds(stamps_s), poses, covs)
+    return _noted(poses_from(what, stamps_ns, poses, covs), notes)
 
 
 def _described(given: object) -> str:
     return f"{len(given)} of them" if isinstance(given, (tuple, list)) else type(given).__name__
 
 
-def _nanoseconds(stamps_s: Array) -> Stamps:
-    return np.round(stamps_s * 1e9).astype(np.int64)
+def _nanoseconds(what: str, given: Any) -> tuple[Stamps, list[str]]:
+    """Stamps (N,), ns, of seconds or parts of them since 1970, and of times and durations of NumPy and pandas."""
+    stamps = np.asarray(given)
+    if stamps.dtype == object and stamps.ndim == 1 and stamps.size and hasattr(stamps[0], "to_datetime64"):
+        # Times of pandas with a time zone.
+        stamps = np.array([one.to_datetime64() for one in stamps])
+    if stamps.dtype.kind in "mM":
+        if np.isnat(stamps).any():
+            raise InputError(f"{what} stamps", "found one that is no time (NaT)", "times")
+        return stamps.astype(f"{stamps.dtype.kind}8[ns]").astype(np.int64), []
+    try:
+        seconds = as_array(f"{what} stamps", given, ("N",))
+    except ValueError as error:
+        raise InputError("", str(error)) from None
+    parts, unit = unit_of(seconds)
+    notes = [] if parts == 1 else [f"{what}: stamps as large as {seconds.max():.0f} are taken as {unit}"]
+    if stamps.dtype.kind in "iu":
+        return stamps.astype(np.int64) * (10**9 // parts), notes
+    if np.abs(seconds).max(initial=0.0) * (1e9 / parts) > np.iinfo(np.int64).max:
+        raise InputError(f"{what} stamps", f"found {seconds.max():g}", "seconds")
+    return np.round(seconds * (1e9 / parts)).astype(np.int64), notes

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.auditing import rotations
-from sixthsense.auditing.poses import Frame, Poses, interpolated, is_of_plane, tilted
+from sixthsense.auditing.poses import Frame, Poses, Stamps, interpolated, is_of_plane, tilted
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import seconds
-from sixthsense.evaluation.effective import effective_number, whitened_errors
+from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
 Align = Literal["none", "first", "all"]
@@ -23,6 +23,8 @@ Motion = tuple[Array, Array]
 
 _GAP = 3.0
 """Longest time between two true poses that are interpolated, in median intervals: beyond it some are missing."""
+_BENT = 0.5
+"""of the stated sigmas: the error of an interpolated truth beyond which only poses beside a true one are compared"""
 _COARSE_POSES, _STEPS = 1000, 100
 """of the first search for a time offset: evenly chosen poses, and steps of the grid on each side"""
 _SAME = 1e-9
@@ -58,15 +60,6 @@ class Errors:
     of_estimate: Array | None = None
     """(N, d, d) part of the covariance that is the estimate's own: another estimate has one, too"""
 
-    def at(self, stamps_ns: NDArray[np.int64]) -> Errors:
-        """Those of the poses that have one of these stamps."""
-        rows = np.isin(self.stamps_ns, stamps_ns)
-        own = None if self.of_estimate is None else self.of_estimate[rows]
-        return replace(
-            self, stamps_ns=self.stamps_ns[rows], error=self.error[rows], cov=self.cov[rows],
-            orientations=self.orientations[rows], of_estimate=own,
-        )  # fmt: skip
-
     @property
     def nees(self) -> Array:
         """(N,)."""
@@ -97,32 +90,28 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     """The estimate at the instants between true poses, with the truth interpolated there, `offset_ns` later.
 
     Poses whose covariance has no full rank are left out, since their NEES is not defined, and those in a gap of the
-    truth. Raises InputError if nothing is left, and if the estimate is the truth.
+    truth; where the truth bends between its poses by more than the stated sigmas allow, all but those beside a true
+    pose. Raises InputError if nothing is left.
     """
     estimate, truth, notes = same_space(estimate, truth)
     notes = [*estimate.notes, *truth.notes, *notes]
     assert estimate.covs is not None
-    at = estimate.stamps_ns + offset_ns
-    inside = (at >= truth.stamps_ns[0]) & (at <= truth.stamps_ns[-1])
+    at, true_ns = estimate.stamps_ns + offset_ns, truth.stamps_ns
+    inside = (at >= true_ns[0]) & (at <= true_ns[-1])
     if len(truth) < 2 or not inside.any():
-        spans = [f"{seconds(one[0]):.3f} to {seconds(one[-1]):.3f} s" for one in (at, truth.stamps_ns)]
+        spans = [f"{seconds(one[0]):.3f} to {seconds(one[-1]):.3f} s" for one in (at, true_ns)]
         raise InputError(
             "stamps",
             f"found {estimate.name} from {spans[0]} and {truth.name} from {spans[1]}",
-            "one clock, and times that overlap",
+            "one clock, and times that overlap; or `same_start` if both begin together",
         )
-    after = np.clip(np.searchsorted(truth.stamps_ns, at), 1, len(truth) - 1)
-    gaps = np.diff(truth.stamps_ns)
-    known = inside & (
-        (gaps[after - 1] <= _GAP * np.median(gaps))
-        | (truth.stamps_ns[after] == at)
-        | (truth.stamps_ns[after - 1] == at)
-    )
+    after = np.clip(np.searchsorted(true_ns, at), 1, len(truth) - 1)
+    is_later = at - true_ns[after - 1] > true_ns[after] - at
+    nearest, gaps = np.where(is_later, after, after - 1), np.diff(true_ns)
+    known = inside & ((gaps[after - 1] <= _GAP * np.median(gaps)) | (true_ns[nearest] == at))
     defined = has_full_rank(estimate.covs)
-    covs = None
     if truth.covs is not None:
-        covs = truth.covs[np.where(at - truth.stamps_ns[after - 1] < truth.stamps_ns[after] - at, after - 1, after)]
-        defined &= has_full_rank(covs)
+        defined &= has_full_rank(truth.covs[nearest])
     used = known & defined
     for count, why in (
         (int(np.sum(~inside)), "before or after the truth"),
@@ -130,19 +119,49 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
         (int(np.sum(known & ~defined)), "with a covariance that is zero or singular, whose NEES is not defined"),
     ):
         notes += [f"left out: {count:,} of {len(estimate):,} poses {why}"] if count else []
+    if used.any() and (bend_m := _bend(truth)) > _BENT * _sigma(estimate.covs[used]):
+        beside = _beside(at, true_ns, nearest, used)
+        note = f"the truth bends by {bend_m:.2g} m between its poses, every {seconds(np.median(gaps)):.3g} s"
+        if beside.any():
+            used = beside
+            note += f": only the {int(beside.sum()):,} poses beside a true one are compared"
+        notes.append(note)
     if not used.any():
         raise InputError(
             estimate.name,
             "found no pose beside the truth whose covariance has full rank",
             f"covariances of {'x, y and heading' if estimate.is_planar else 'all six axes'}",
         )
-    estimate = estimate.part(used)
     positions, orientations = interpolated(truth, at[used])
-    beside = replace(
-        truth, stamps_ns=at[used], positions=positions, orientations=orientations,
-        covs=None if covs is None else covs[used],
-    )  # fmt: skip
-    return Pair(estimate, beside, tuple(notes))
+    covs = None if truth.covs is None else truth.covs[nearest[used]]
+    there = replace(truth, stamps_ns=at[used], positions=positions, orientations=orientations, covs=covs)
+    return Pair(estimate.part(used), there, tuple(notes))
+
+
+def _bend(truth: Poses) -> float:
+    """By how much the way between two true poses leaves the line between them, metres, root mean square.
+
+    It grows with the square of the interval: a quarter of what a true pose is off the line between its neighbours.
+    """
+    if len(truth) < 3:
+        return 0.0
+    inner, _ = interpolated(truth.part(np.arange(len(truth)) % 2 == 0), truth.stamps_ns[1:-1:2])
+    return 0.25 * float(np.sqrt(np.mean(np.sum((inner - truth.positions[1:-1:2]) ** 2, axis=1))))
+
+
+def _sigma(covs: Array) -> float:
+    """Median of the stated sigma of a position's coordinate, metres."""
+    return float(np.sqrt(np.median(covs[:, (0, 1), (0, 1)])))
+
+
+def _beside(at: Stamps, true_ns: Stamps, nearest: NDArray[np.int64], used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) the used pose nearest to each true one, closer than a twentieth of the interval."""
+    off = np.where(used, np.abs(at - true_ns[nearest]), np.iinfo(np.int64).max)
+    order = np.lexsort((off, nearest))
+    first = order[np.flatnonzero(np.diff(nearest[order], prepend=-1))]
+    kept = np.zeros(len(at), dtype=np.bool_)
+    kept[first] = used[first] & (off[first] <= 0.05 * np.median(np.diff(true_ns)))
+    return kept
 
 
 def aligned(pair: Pair, align: Align, frame: Frame) -> Motion:
@@ -181,8 +200,6 @@ class Offset(NamedTuple):
     """to add to the stamps of the estimate"""
     sigma_s: float
     """by the curvature of the NEES and the effective number of samples"""
-    along_m: float
-    """the way at the mean speed in so much time: an error along the way of that size looks the same"""
 
 
 def time_offset(estimate: Poses, truth: Poses, limit_s: float, align: Align, frame: Frame) -> Offset:
@@ -218,14 +235,11 @@ def time_offset(estimate: Poses, truth: Poses, limit_s: float, align: Align, fra
         )
     bounds = (grid[best - 1], grid[best + 1])
     found = minimize_scalar(cost, bounds=bounds, args=(every,), method="bounded", options={"xatol": 1e-5})
-    seconds, step = float(found.x), grid[1] - grid[0]
-    least = errors(seconds, every)
-    samples = effective_number([least.nees], [whitened_errors(least.error, least.cov)])
-    bend = (cost(seconds + step, every) + cost(seconds - step, every) - 2.0 * float(least.nees.mean())) / step**2
-    duration_s = 1e-9 * float(truth.stamps_ns[-1] - truth.stamps_ns[0])
-    way_m = float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum())
-    sigma_s = math.sqrt(2.0 / (samples * bend)) if bend > 0.0 else math.inf
-    return Offset(seconds, sigma_s, abs(seconds) * way_m / duration_s)
+    offset_s, step = float(found.x), grid[1] - grid[0]
+    least = errors(offset_s, every)
+    worth = consistency([(least.error, least.cov)])
+    bend = (cost(offset_s + step, every) + cost(offset_s - step, every) - 2.0 * worth.nees) / step**2
+    return Offset(offset_s, math.sqrt(2.0 / (worth.samples * bend)) if bend > 0.0 else math.inf)
 
 
 def check_is_not_the_truth(pair: Pair) -> None:

@@ -13,6 +13,7 @@ from sixthsense.auditing import rotations
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Array
+from sixthsense.core.source import seconds
 
 Frame = Literal["world", "body"]
 Stamps = NDArray[np.int64]
@@ -74,7 +75,8 @@ class Poses:
 def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = None) -> Poses:
     """Sorted poses from (N, 3) x y theta, (N, 7) x y z qx qy qz qw, (N, 3, 3) or (N, 4, 4) matrices.
 
-    Of poses with the same stamp the first is kept.
+    Of poses with the same stamp the first is kept; a note counts those that differ. Raises InputError if that is most
+    of them: then stamps are rounded.
     """
     if poses.shape[1:] == (3,):
         positions, turns = poses[:, :2], rotations.exp(poses[:, 2:])
@@ -83,8 +85,17 @@ def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = 
     else:
         n = poses.shape[1] - 1
         positions, turns = poses[:, :n, n], poses[:, :n, :n]
-    _, order = np.unique(stamps_ns, return_index=True)
-    return Poses(name, stamps_ns, positions, turns, covs).part(order)
+    stamps, order, kept = np.unique(stamps_ns, return_index=True, return_inverse=True)
+    differ = np.flatnonzero((poses != poses[order[kept]]).reshape(len(poses), -1).any(axis=1))
+    if 2 * len(differ) > len(poses):
+        found = f"found {len(poses):,} poses at {len(stamps):,} stamps, from {seconds(int(stamps[0])):.6g} s on"
+        raise InputError(name, found, "a stamp for each pose with all of its digits, not rounded as by %.6g")
+    notes = []
+    if len(differ):
+        at_s = seconds(int(stamps_ns[differ[0]]))
+        count = f"{len(differ):,} poses have the stamp of another one"
+        notes = [f"{name}: {count}, the first at {at_s:.6f} s: the first of each stamp is kept"]
+    return Poses(name, stamps_ns, positions, turns, covs, notes=tuple(notes)).part(order)
 
 
 def is_of_plane(poses: Poses) -> str:

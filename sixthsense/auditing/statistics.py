@@ -1,11 +1,10 @@
-"""Errors beside stated covariances: NEES with its band, factors with their intervals, by axis and over time."""
+"""Errors beside stated covariances: the consistency of the pose and of each axis, and over time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,19 +13,17 @@ from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.poses import Frame
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
+from sixthsense.evaluation.consistency import Consistency, Outcome, consistency
 from sixthsense.evaluation.effective import (
     LEAST_SAMPLES,
-    effective_number,
     effective_samples,
     effective_samples_of_errors,
     whitened_errors,
 )
-from sixthsense.evaluation.metrics import nees_band
+from sixthsense.evaluation.metrics import squares
 
-Outcome = Literal["consistent", "overconfident", "cautious", "no verdict"]
-
-PARTS = 5
-"""equal parts of the time over which the NEES is told"""
+LEVELS = (0.5, 0.9, 0.95)
+"""of the regions whose coverage is computed"""
 AXES = {
     ("world", 3): ("x", "y", "heading"),
     ("body", 3): ("forward", "left", "heading"),
@@ -35,93 +32,107 @@ AXES = {
 }
 """names of the axes of an error, by frame and size"""
 
+_PARTS = 5
+
 
 @dataclass(frozen=True, slots=True)
-class Factor:
-    """By which the covariance of an axis, or of the whole pose, should be multiplied."""
+class Score:
+    """How well a stated covariance describes errors: of the whole pose, the position, or the rotation."""
 
-    value: float
-    """mean of the squared errors over the stated variance"""
-    interval: tuple[float, float]
-    """95 %"""
+    coverage: dict[float, float]
+    """share of the errors inside the region that is to hold this share"""
     samples: float
     """effective number of samples"""
-
-    @property
-    def sigmas(self) -> tuple[float, float]:
-        """The interval of the factor of the sigmas."""
-        return math.sqrt(self.interval[0]), math.sqrt(self.interval[1])
+    log_score: float
+    """mean of the negative logarithm of the stated density at the errors, nats (m, rad): less is better"""
+    scaled_log_score: float
+    """the same if the covariance were multiplied by its factor, the least that any multiple has"""
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
     """The statistics of all runs of an audit together."""
 
-    dof: int
-    """3 or 6"""
     poses: int
     """number of them"""
-    samples: float
-    """effective number of samples"""
-    nees: float
-    """mean, the degrees of freedom of an alignment taken off"""
-    band: tuple[float, float]
-    """95 %, of the mean of as many independent NEES"""
-    inside: float
-    """share of the poses whose NEES lies below the 95 % quantile"""
-    factor: Factor
-    """of the whole covariance"""
-    axes: dict[str, Factor]
+    pose: Consistency
+    """of the whole pose, the degrees of freedom of an alignment taken off"""
+    axes: dict[str, Consistency]
     """by name of the axis"""
     parts: tuple[float, ...]
-    """mean NEES in equal parts of the time"""
+    """mean NEES in equal parts of the time; NaN for a part without poses"""
     removed: float
     """share of the NEES that the alignment has taken"""
     shared: float
     """share of the variance of the mean that the first pose has"""
+    scores: dict[str, Score]
+    """coverage and log score of `pose`, `position` and `rotation`"""
 
     @property
     def outcome(self) -> Outcome:
-        """Whether the factor's interval holds 1; no verdict from fewer than 30 effective samples."""
-        if self.samples < LEAST_SAMPLES:
-            return "no verdict"
-        low, high = self.factor.interval
-        return "overconfident" if low > 1.0 else "cautious" if high < 1.0 else "consistent"
+        """Whether the band of the mean NEES holds it; too short to tell from fewer than 30 effective samples."""
+        return self.pose.outcome
+
+    @property
+    def factor(self) -> float:
+        """By which the covariance should be multiplied."""
+        return self.pose.factor
+
+    def deviating(self) -> list[str]:
+        """The axes beyond what chance explains, each with a chance of 5 % over their number."""
+        found = []
+        for name, one in self.axes.items():
+            # Three normal sigmas stand for 5 % over at most six axes.
+            low, high = replace(one, samples=max(1.0, one.samples * (1.96 / 2.64) ** 2)).interval
+            if one.samples >= LEAST_SAMPLES and not low <= 1.0 <= high:
+                found.append(name)
+        return found
 
 
 def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
     """The statistics of runs that are independent of each other."""
-    nees, whitened = [run.nees for run in runs], [whitened_errors(run.error, run.cov) for run in runs]
-    dof, count = runs[0].error.shape[1], sum(map(len, nees))
-    removed = _removed(whitened) if align == "all" else 0.0
-    weights = np.array([len(one) / count for one in nees])
-    shared = float(np.sum(weights**2 * [run.shared for run in runs]))
-    samples = 1.0 / (1.0 / _heavy_tailed(nees, effective_number(nees, whitened), dof) + shared)
-    normal = [_normalized(run, frame) for run in runs]
-    axes = {}
-    for k, name in enumerate(AXES[frame, dof]):
-        ones = [one[:, k : k + 1] for one in normal]
-        squares = [one[:, 0] ** 2 for one in ones]
-        own = 1.0 / (1.0 / _heavy_tailed(squares, effective_number(squares, ones), 1) + shared)
-        axes[name] = factor(float(np.concatenate(squares).mean()) / (1.0 - removed), own, 1)
-    together = np.concatenate(nees)
-    mean = float(together.mean()) / (1.0 - removed)
-    below = float(np.mean(together <= chi_square_quantile(0.95, dof)))
-    return Findings(
-        dof, count, samples, mean, nees_band(samples, dof), below, factor(mean / dof, samples, dof), axes,
-        _parts(runs, nees), removed, shared,
-    )  # fmt: skip
+    whitened = [whitened_errors(run.error, run.cov) for run in runs]
+    lengths = np.array([len(one) for one in whitened], dtype=np.float64)
+    removed = 0.0
+    if align == "all":  # as of a mean that is estimated
+        numbers = np.array([effective_samples_of_errors([one])[1] for one in whitened])
+        removed = min(0.5, float(np.sum(lengths / numbers) / lengths.sum()))
+    shared = float(np.sum((lengths / lengths.sum()) ** 2 * [run.shared for run in runs]))
+
+    def judged(parts: Sequence[tuple[Array, Array]]) -> Consistency:
+        found = consistency(parts)
+        return replace(found, nees=found.nees / (1.0 - removed), samples=1.0 / (1.0 / found.samples + shared))
+
+    pose = judged([(run.error, run.cov) for run in runs])
+    turned = [run.in_axes(frame) for run in runs]
+    names, n = AXES[frame, pose.dof], runs[0].orientations.shape[1]
+    axes = {
+        name: judged([(error[:, k : k + 1], cov[:, k : k + 1, k : k + 1]) for error, cov in turned])
+        for k, name in enumerate(names)
+    }
+    parts = {"pose": slice(0, pose.dof), "position": slice(0, n), "rotation": slice(n, pose.dof)}
+    scores = {name: _score([(run.error[:, p], run.cov[:, p, p]) for run in runs]) for name, p in parts.items()}
+    return Findings(int(lengths.sum()), pose, axes, _over_time(runs), removed, shared, scores)
 
 
-def factor(value: float, samples: float, dof: int) -> Factor:
-    """The factor of a covariance from the mean NEES per degree of freedom.
+def _score(runs: Sequence[tuple[Array, Array]]) -> Score:
+    found, nees = consistency(runs), np.concatenate([squares(*run) for run in runs])
+    volumes = np.concatenate([np.linalg.slogdet(cov)[1] for _, cov in runs])
+    volume = found.dof * math.log(2.0 * math.pi) + float(volumes.mean())
+    scaled = 0.5 * (volume + found.dof * math.log(max(found.factor, 1e-300)) + found.dof)
+    coverage = {level: float(np.mean(nees <= chi_square_quantile(level, found.dof))) for level in LEVELS}
+    return Score(coverage, found.samples, 0.5 * (volume + found.nees), scaled)
 
-    With s the true factor, samples x dof x value / s is chi-square with samples x dof degrees of freedom for so many
-    independent Gaussian errors, so that the interval holds 1 exactly where the mean NEES lies in its band.
-    """
-    freedom = samples * dof
-    low, high = (value * freedom / float(chi_square_quantile(tail, freedom)) for tail in (0.975, 0.025))
-    return Factor(value, (low, high), samples)
+
+def _over_time(runs: Sequence[Errors]) -> tuple[float, ...]:
+    """Mean NEES of all runs in equal parts of each run's time; NaN for a part without poses."""
+    sums, counts = np.zeros(_PARTS), np.zeros(_PARTS)
+    for run in runs:
+        since = (run.stamps_ns - run.stamps_ns[0]).astype(np.float64)
+        part = np.minimum((_PARTS * since / max(since[-1], 1.0)).astype(np.int64), _PARTS - 1)
+        sums += np.bincount(part, run.nees, _PARTS)
+        counts += np.bincount(part, minlength=_PARTS)
+    return tuple((sums / np.where(counts > 0.0, counts, np.nan)).tolist())
 
 
 def heading_dependence(errors: Errors) -> float:
@@ -147,35 +158,3 @@ def is_other_frame(runs: Sequence[Errors], others: Sequence[Errors]) -> bool:
     read, other = (sum(map(heading_dependence, one)) for one in (runs, others))
     means = [float(np.concatenate([run.nees for run in one]).mean()) for one in (runs, others)]
     return read > limit and other < read and means[1] < (1.0 - 1e-6) * means[0]
-
-
-def _heavy_tailed(nees: Sequence[Array], samples: float, dof: int) -> float:
-    """Fewer samples if the NEES scatter more than chi-square around their mean: the factor is the less certain."""
-    together = np.concatenate(nees)
-    mean, variance = float(together.mean()), float(together.var())
-    expected = 2.0 * mean**2 / dof
-    return max(1.0, samples * min(1.0, expected / variance)) if variance > 0.0 else samples
-
-
-def _removed(whitened: Sequence[Array]) -> float:
-    """Share of the squared errors that an alignment by all poses takes: as of a mean that is estimated."""
-    numbers = [effective_samples_of_errors([one])[1] for one in whitened]
-    lengths = np.array([len(one) for one in whitened], dtype=np.float64)
-    return min(0.5, float(np.sum(lengths / numbers) / lengths.sum()))
-
-
-def _normalized(run: Errors, frame: Frame) -> Array:
-    """(N, d) errors over their stated sigmas, in the axes of a frame."""
-    error, cov = run.in_axes(frame)
-    return np.asarray(error / np.sqrt(np.einsum("kii->ki", cov)))
-
-
-def _parts(runs: Sequence[Errors], nees: Sequence[Array]) -> tuple[float, ...]:
-    """Mean NEES of all runs in equal parts of each run's time; NaN for a part without poses."""
-    sums, counts = np.zeros(PARTS), np.zeros(PARTS)
-    for run, values in zip(runs, nees, strict=True):
-        since = (run.stamps_ns - run.stamps_ns[0]).astype(np.float64)
-        part = np.minimum((PARTS * since / max(since[-1], 1.0)).astype(np.int64), PARTS - 1)
-        sums += np.bincount(part, values, PARTS)
-        counts += np.bincount(part, minlength=PARTS)
-    return tuple((sums / np.where(counts > 0.0, counts, np.nan)).tolist())

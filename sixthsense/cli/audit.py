@@ -35,8 +35,8 @@ class Audit(Options):
     pooled as independent runs."""
     truth: Annotated[tuple[str, ...], arg("FILE ...")] = ()
     """Bag, TUM file or folder of a run, one for each estimate. By default that of the run."""
-    pair: Annotated[tuple[str, ...], arg("FILE ...")] = ()
-    """Without a truth: another system on the same drive, or two, in the forms of ESTIMATE."""
+    pair: Annotated[str | None, arg("FILE")] = None
+    """Without a truth: another system on the same drive, in the forms of ESTIMATE."""
     covariance: Annotated[tuple[str, ...], arg("FILE ...")] = ()
     """Covariances of TUM files: in each line a stamp and the 6 or 21 numbers of the upper triangle. With --pair one for
     each system, the estimate's first."""
@@ -61,10 +61,12 @@ class Audit(Options):
         OptionalValue("1", _is_number, "seconds, above 0"),
     ] = None
     """Search an offset of the stamps up to S seconds (1)."""
+    same_start: bool = False
+    """Both begin together, by other clocks: stamps count from the first pose of each."""
     figure: Path | None = None
     """Draw errors in their 3-sigma tubes, NEES with its band and chi-square Q-Q: .png, .svg or .pdf."""
     json: Path | None = None
-    """Write all numbers."""
+    """Write all numbers; a page with figures for a file that ends in .html."""
     overwrite: bool = False
     """Replace these files if they exist."""
     validate: bool = False
@@ -83,11 +85,11 @@ class Audit(Options):
 
         if options.validate:
             return _validated(options)
-        is_pair = bool(options.pair) and len(options.estimate) == 1
+        is_pair = options.pair is not None and len(options.estimate) == 1
         found = audit(
             options.estimate[0] if is_pair else list(options.estimate),
             list(options.truth) or None,
-            pair=list(options.pair) or None,
+            pair=options.pair,
             covariance=list(options.covariance) or None,
             topic=options.topic,
             pair_topic=options.pair_topic,
@@ -97,6 +99,7 @@ class Audit(Options):
             order=options.order,
             align=options.align,
             time_offset=options.time_offset,
+            same_start=options.same_start,
         )
         print(found)
         if options.json is not None:
@@ -110,6 +113,7 @@ class Audit(Options):
 
 def _validated(options: Audit) -> int:
     """Print what cannot be right in each estimate, or that nothing was found."""
+    from sixthsense.auditing.mistakes import WRONG
     from sixthsense.auditing.opening import Options as Reading
     from sixthsense.auditing.opening import open_estimate
 
@@ -119,7 +123,7 @@ def _validated(options: Audit) -> int:
         raise InputError("covariance", f"found {len(files)} for {len(options.estimate)} estimates", "one for each")
     for source, file in zip(options.estimate, files, strict=True):
         poses = open_estimate(source, file, Reading(options.topic, frame=options.frame, order=options.order))
-        wrong = [note for note in poses.notes if note.startswith("cannot be right")]
+        wrong = [note for note in poses.notes if note.startswith(WRONG)]
         for line in poses.notes or ("nothing found that cannot be right",):
             print(f"{poses.name}: {line}")
         code = FAILED if wrong else code

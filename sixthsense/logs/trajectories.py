@@ -43,7 +43,8 @@ def read_trajectory(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Ar
         )
     form = _PLANE if columns is not None and "theta" in columns else _FORMS.get(width, _SPACE)
     places = [columns[name] for name in form] if columns is not None else range(1, width)
-    good = _usable(found, width, notes, (0, *places), is_space=form is _SPACE)
+    stamp = (columns or {}).get("stamp", 0)
+    good = _usable(found, width, notes, (stamp, *places), is_space=form is _SPACE)
     return good.stamps_ns(notes), good.numbers[:, 1:]
 
 
@@ -105,6 +106,8 @@ def _part(name: str) -> str:
     """The part of a pose that the name of a column means: `q_RS_w` and `qw`, `p_RS_R_x` and `x`."""
     if name in ("theta", "yaw", "heading"):
         return "theta"
+    if name.strip() in ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"):
+        return "stamp"
     found = re.fullmatch(r"(?:(q|p|t|pos|position)[a-z_.]*?_?)?([xyzw])", name.replace(" ", ""))
     if found is None:
         return name
@@ -123,7 +126,10 @@ def _usable(
         try:
             if len(record.fields) != width:
                 record.fail(f"found {len(record.fields)} fields, allowed: {width} in every line")
-            stamp, row = record.numbers(record.fields[:1], _LARGEST_STAMP), [record.fields[k] for k in places[1:]]
+            stamp, row = (
+                record.numbers([record.fields[places[0]]], _LARGEST_STAMP),
+                [record.fields[k] for k in places[1:]],
+            )
             values = np.concatenate([stamp, record.numbers(row)])
             if is_space and not values[4:].any():
                 record.fail("found a quaternion that is zero, allowed: a rotation")

@@ -103,11 +103,12 @@ def test_errors_covariances_and_ratios_are_those_of_matrices_in_either_frame(see
         squares.append(squared(error(estimate, truth), in_world))
         own = turn.T @ error(estimate, truth) if frame == "body" else error(estimate, truth)
         ratios.append(own**2 / np.diag(cov))
-    assert run.nees == pytest.approx(squares) and found.findings.nees == pytest.approx(np.mean(squares))
+    assert run.nees == pytest.approx(squares) and found.findings.pose.nees == pytest.approx(np.mean(squares))
     told, dof = found.findings, 3 if n == 2 else 6
-    assert told.inside == np.mean(np.array(squares) <= chi2.ppf(0.95, dof)) and told.factor.value == told.nees / dof
-    assert told.band == pytest.approx(chi2.ppf((0.025, 0.975), dof * told.samples) / told.samples)
-    assert [one.value for one in told.axes.values()] == pytest.approx(np.mean(ratios, axis=0))
+    share = np.mean(np.array(squares) <= chi2.ppf(0.95, dof))
+    assert told.scores["pose"].coverage[0.95] == share and told.factor == told.pose.nees / dof
+    assert told.pose.band == pytest.approx(chi2.ppf((0.025, 0.975), dof * told.pose.samples) / told.pose.samples)
+    assert [one.factor for one in told.axes.values()] == pytest.approx(np.mean(ratios, axis=0))
 
 
 @few
@@ -221,7 +222,7 @@ def test_what_is_audited_in_the_plane_is_x_y_and_yaw_of_tilted_poses(seed, why):
     covs = one.covs.copy()
     covs[0, 2:5], covs[0, :, 2:5] = 0.0, 0.0  # of a single pose
     for poses in in_space:
-        assert ss.audit((one.stamps, poses, covs), (one.stamps, one.truth)).findings.dof == 6
+        assert ss.audit((one.stamps, poses, covs), (one.stamps, one.truth)).findings.pose.dof == 6
 
 
 @few
@@ -289,4 +290,3 @@ def test_the_sigma_of_a_time_offset_is_the_spread_of_the_offsets_that_are_found(
         found.append(time_offset(poses, poses_of(stamps, circle(stamps)), 0.5, "none", "world"))
     z = [(offset.seconds - 0.083) / offset.sigma_s for offset in found]
     assert 0.35 < np.mean(np.square(z)) < 2.2  # chi-square with 16 degrees of freedom, 99.9 %
-    assert all(offset.along_m == pytest.approx(0.8 * offset.seconds, rel=1e-3) for offset in found)

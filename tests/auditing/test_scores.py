@@ -28,15 +28,13 @@ def audited(truth, error, cov=COV, **options):
 
 @pytest.mark.parametrize("times", [0.7, 1.0, 1.6])
 def test_coverage_is_that_of_chi_square_for_errors_so_many_times_their_sigmas(times):
-    found = audited(*planar(times)).scores
+    found = audited(*planar(times)).findings.scores
     for name, dof in (("pose", 3), ("position", 2), ("rotation", 1)):
         score = found[name]
         for level, share in score.coverage.items():
             expected = chi2.cdf(chi2.ppf(level, dof) / times**2, dof)
             sigma = math.sqrt(expected * (1.0 - expected) / score.samples)
             assert abs(share - expected) < 3.5 * sigma, (name, level)
-            low, high = score.intervals[level]
-            assert low <= share <= high and high - low == pytest.approx(2.0 * 1.96 * sigma, rel=0.3, abs=0.005)
 
 
 def test_the_log_score_is_the_mean_of_the_stated_density_and_the_factor_makes_it_least():
@@ -50,7 +48,7 @@ def test_the_log_score_is_the_mean_of_the_stated_density_and_the_factor_makes_it
         )
 
     for name, part in (("pose", [0, 1, 2]), ("position", [0, 1]), ("rotation", [2])):
-        score = found.scores[name]
+        score = found.findings.scores[name]
         assert score.log_score == pytest.approx(by_scipy(1.0, part), abs=1e-6)
         scales = np.geomspace(1.0, 5.0, 400)
         assert score.scaled_log_score == pytest.approx(min(by_scipy(scale, part) for scale in scales), abs=1e-3)
@@ -115,4 +113,7 @@ def test_runs_are_pooled_by_their_poses():
     estimates = [(STAMPS[part], (truth + error)[part], covs[part]) for part in parts]
     found = ss.audit(estimates, [(STAMPS[part], truth[part]) for part in parts])
     assert found.trajectory.ate_m == pytest.approx(math.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))))
-    assert "coverage     inside the regions of 50, 90, 95 %: pose" in repr(found) and found.as_dict()["scores"]["pose"]
+    assert (
+        "coverage     inside the regions of 50, 90, 95 %: pose" in repr(found)
+        and found.as_dict()["findings"]["scores"]["pose"]
+    )

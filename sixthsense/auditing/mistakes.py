@@ -1,0 +1,180 @@
+"""The usual mistakes in poses with covariances, each found by its own numbers: units, columns, order, rank, clocks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sixthsense.auditing import rotations
+from sixthsense.auditing.pairing import Align, Errors, Pair
+from sixthsense.auditing.poses import Poses, is_of_plane
+from sixthsense.auditing.scores import fitted, rms
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.evaluation.metrics import has_full_rank
+
+WRONG = "cannot be right"
+"""how a line on a mistake begins"""
+UNIFORM_RAD = math.pi / math.sqrt(3.0)
+"""sigma of a direction of which nothing is known"""
+
+_DEGREE = math.pi / 180.0
+_ALONG, _ACROSS, _FEWEST = 0.9, 0.75, 20  # mean cosine of a heading and the way along it, and not; ways
+_FITS, _UNLIKE = 0.2, 0.5  # share of the spread or of the errors that remains: one cause, other drives
+_SCALE, _TURNED_RAD, _STEADY = 1.2, math.radians(10.0), 0.9  # of units and axes that are worth a word
+_JUMP, _JUMP_ATE = 20.0, 0.5  # times the usual step, and share of the aligned error, of a single one
+_NEAR = 1.5  # times: the errors over what a mistake would make of them
+_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def headings_in_degrees(poses: Array) -> str:
+    """Why the headings of (N, 3) x y theta are in degrees; empty if they are not.
+
+    They wrap by a turn of 360; or the robot goes along them if they are read as degrees, and not as radians.
+    """
+    steps = np.abs(np.diff(poses[:, 2]))
+    turns = int(np.sum(np.abs(steps - 360.0) < 36.0))
+    if turns and np.abs(poses[:, 2]).max() <= 364.0:
+        return f"they jump by {steps.max():.0f} where they wrap, {turns} times"
+    ways = np.diff(poses[:, :2], axis=0)
+    long = np.hypot(*ways.T) > 0.5 * np.median(np.hypot(*ways.T))
+    if np.count_nonzero(long) < _FEWEST or np.ptp(poses[:, 2]) < math.pi:
+        return ""
+    course = np.arctan2(ways[long, 1], ways[long, 0])
+    along = [float(np.mean(np.cos(course - unit * poses[:-1, 2][long]))) for unit in (1.0, _DEGREE)]
+    return "the robot goes along them only as degrees" if abs(along[1]) > _ALONG and abs(along[0]) < _ACROSS else ""
+
+
+def of_estimate(poses: Poses) -> Iterator[str]:
+    """A line for each mistake that an estimate shows without a truth: order, degrees, rank."""
+    assert poses.covs is not None
+    count, swapped = len(poses), False
+    if poses.covs.shape[1] == 6:
+        # A robot on a floor states x, y and yaw: rows 0, 1 and 5, or with the rotation first 2, 3 and 4.
+        stated = np.einsum("kii->ki", poses.covs).any(axis=0)
+        swapped = stated.tolist() == [False, False, True, True, True, False]
+        if swapped:
+            names = ", ".join(itertools.compress(_AXES, stated))
+            yield f"only the variances of {names} are stated, as with the rotation first on a floor (order rotation)"
+    covs = (poses.in_plane() if not poses.is_planar and is_of_plane(poses) else poses).covs
+    assert covs is not None
+    n = 2 if covs.shape[1] == 3 else 3
+    largest = np.sqrt(np.maximum(np.einsum("kii->ki", covs)[:, n:].max(axis=1), 0.0))
+    if (beyond := int(np.sum(largest > UNIFORM_RAD))) and not swapped:
+        yield (
+            f"{beyond:,} of {count:,} poses have a rotation of sigma above {UNIFORM_RAD:.2f} rad, that of an unknown "
+            f"direction, up to {largest.max():.3g}: in degrees, or of the other order?"
+        )
+    defective = ~has_full_rank(covs)
+    defective[0] &= covs[0].any()  # where its frame begins, a map knows the robot exactly
+    if (singular := int(np.sum(defective))) and not swapped:
+        yield f"{singular:,} of {count:,} covariances are not positive definite: their poses are left out"
+
+
+def of_errors(errors: Errors) -> Iterator[str]:
+    """A line for covariances in another unit than the errors: variances in degrees², or of headings, or sigmas."""
+    variances, squares = np.einsum("kii->ki", errors.cov).mean(axis=0), (errors.error**2).mean(axis=0)
+    n = errors.orientations.shape[1]
+    ratios = np.sqrt(squares / variances)
+    place, turn = ratios[:n].mean(), ratios[n:].mean() / max(ratios[:n].mean(), 1e-12)
+    alike = (squares < _NEAR**2 * variances**2) & (variances**2 < _NEAR**2 * squares)
+    if alike.all() and not 0.5 < place < 2.0:
+        yield "each stated variance is as large as the error itself: are these sigmas in place of variances?"
+    elif 1.0 / _NEAR < turn / _DEGREE < _NEAR:
+        yield f"errors of rotations are {turn:.3g} times as large beside their sigmas: are the variances in degrees²?"
+    elif 1.0 / _NEAR < turn * _DEGREE < _NEAR:
+        yield f"errors of rotations are {turn:.3g} times as large beside their sigmas: are headings in degrees?"
+
+
+def of_columns(pair: Pair) -> str:
+    """Which columns of x, y and heading are exchanged, by the truth; empty if they are not."""
+    found = np.column_stack([pair.estimate.positions, np.unwrap(_headings(pair.estimate))])
+    true, spread = pair.truth.positions, rms(pair.truth.positions - pair.truth.positions.mean(axis=0))
+    names = ("x", "y", "theta")
+    left = {}
+    for order in itertools.permutations(range(3)):
+        places = found[:, order[:2]]
+        turn, shift = fitted(places, true)
+        left[order] = rms(places @ turn.T + shift - true) / max(spread, 1e-9)
+    best = min(left, key=lambda order: left[order])
+    if left[best] > _FITS or left[0, 1, 2] < 3.0 * left[best] or left[0, 1, 2] < _FITS:
+        return ""
+    given = ", ".join(names[best.index(k)] for k in range(3))
+    return f"columns of {pair.estimate.name} fit the truth as {given}, not as x, y, theta"
+
+
+def of_poses(pair: Pair, align: Align) -> Iterator[str]:
+    """A line for each thing that poses in the plane show beside the truth, with the figures.
+
+    Whether they are of one drive, by their turns and their shape; and if they are: units, frames, axes, clocks, jumps.
+    """
+    if not pair.estimate.is_planar or len(pair.estimate) < _FEWEST:
+        return
+    if exchanged := of_columns(pair):
+        yield f"{WRONG}: {exchanged}"
+        return
+    found, true = pair.estimate.positions, pair.truth.positions
+    headings = [_headings(pair.estimate), _headings(pair.truth)]
+    spread = rms(true - true.mean(axis=0))
+    turn, shift = fitted(found, true)
+    apart = found @ turn.T + shift - true
+    scale = spread / max(rms(found - found.mean(axis=0)), 1e-9)
+    both = f"{pair.estimate.name} and {pair.truth.name}"
+    scaled = found @ turn.T * scale
+    left = rms(scaled - scaled.mean(axis=0) - (true - true.mean(axis=0))) / max(spread, 1e-9)
+    if left > _UNLIKE and (correlation := _correlation(*headings)) < _UNLIKE:
+        yield (
+            f"{both} may not be of one drive, or have other clocks: their turns correlate by {correlation:.2f}, "
+            f"and aligned they are {rms(apart):.3g} m apart, where the way has a spread of {spread:.3g} m"
+        )
+        return
+    if left < _FITS and max(scale, 1.0 / scale) > _SCALE:
+        yield f"positions of {pair.truth.name} are {scale:.3g} times those of {pair.estimate.name}: are both in metres?"
+        return
+    if align == "none" and rms(apart) < _FITS * rms(found - true):
+        yield (
+            f"the frames differ: aligned by all poses (`align` all) the ATE falls from {rms(found - true):.2f} to "
+            f"{rms(apart):.2f} m"
+        )
+    off = wrap_angle(headings[0] - headings[1] + math.atan2(turn[1, 0], turn[0, 0]))
+    mean = complex(np.mean(np.exp(1j * off)))
+    if abs(mean) > _STEADY and abs(np.angle(mean)) > _TURNED_RAD:
+        yield (
+            f"headings differ by {math.degrees(np.angle(mean)):.0f}° all along, beside the frames: the two have other "
+            "axes of the body"
+        )
+    yield from _other_clock(pair, wrap_angle(off - np.angle(mean)), headings[1])
+    steps = np.linalg.norm(np.diff(apart, axis=0), axis=1)
+    most = int(np.argmax(steps))
+    if steps[most] > _JUMP * np.median(steps) and steps[most] > _JUMP_ATE * rms(apart):
+        at_s = 1e-9 * float(pair.estimate.stamps_ns[most + 1])
+        yield f"at {at_s:.2f} s the estimate jumps by {steps[most]:.2f} m beside the truth"
+
+
+def _headings(poses: Poses) -> Array:
+    return np.asarray(rotations.log(poses.orientations)[:, 0])
+
+
+def _correlation(found: Array, true: Array) -> float:
+    """Of the turns of two headings (N,) over the same times; 0 where one of them does not turn."""
+    rows = np.unique(np.linspace(0, len(found) - 1, 101).astype(np.int64))
+    one, other = (wrap_angle(np.diff(headings[rows])) for headings in (found, true))
+    size = math.sqrt(float(one @ one) * float(other @ other))
+    return float(one @ other) / size if size > 0.0 else 0.0
+
+
+def _other_clock(pair: Pair, off: Array, headings: Array) -> Iterator[str]:
+    """Errors of headings that are proportional to the rate of turning: those of a delay."""
+    seconds = 1e-9 * (pair.truth.stamps_ns - pair.truth.stamps_ns[0]).astype(np.float64)
+    rate = np.gradient(np.unwrap(headings), seconds)
+    power = float(rate @ rate)
+    delay = -float(rate @ off) / power if power > 0.0 else 0.0
+    left = rms((off + delay * rate)[:, None]) / max(rms(off[:, None]), 1e-12)
+    if left < 1.0 - _FITS and abs(delay) > float(np.median(np.diff(seconds))):
+        word = "late" if delay > 0.0 else "early"
+        yield (
+            f"stamps of the estimate are about {abs(delay):.2g} s {word}, by the errors of headings in turns "
+            "(`time_offset` measures it)"
+        )
