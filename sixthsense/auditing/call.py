@@ -63,7 +63,6 @@ def audit(
 
         print(ss.audit("localization.mcap", "truth.tum", topic="/amcl_pose", align="all"))
         ss.audit((stamps_s, poses, covariances), (truth_stamps_s, truth_poses)).plot()
-        print(ss.audit("cartographer.mcap", pair="amcl.mcap").verdict)
 
     Parameters
     ----------
@@ -77,8 +76,7 @@ def audit(
         Without a truth: another system on the same drive, with covariances, in the forms of `estimate`. At least one is
         overconfident if they differ by more than their covariances allow.
     covariance
-        With a TUM file: the file with a stamp and the 6 or 21 numbers of the upper triangle in each line. With `pair` a
-        list, that of the estimate first.
+        With a TUM file: a stamp and the 6 or 21 numbers of the upper triangle in each line; with `pair` a list of two.
     topic, pair_topic, truth_topic, truth_frames
         In bags; by default the only topic with poses. "/tf" as truth takes the names of parent and child.
     frame
@@ -86,8 +84,8 @@ def audit(
     order
         "translation" or "rotation": which comes first in a covariance.
     align
-        "none", the default without `pair`; "first": the first pose becomes the true one, and its covariance counts;
-        "all", the default with `pair`: the motion with the least sum of NEES, whose degrees of freedom are taken off.
+        "none", by default; "first": the first pose becomes the true one, and its covariance counts; "all", the default
+        with `pair`: the motion with the least sum of NEES, whose degrees of freedom are taken off.
     time_offset
         Search an offset of the stamps up to so many seconds, where the mean NEES is least.
     same_start
@@ -103,8 +101,6 @@ def audit(
     if pair is not None:
         if truth is not None or isinstance(estimate, list):
             raise InputError("pair", "found beside a truth or several estimates", "one estimate, and no truth")
-        if isinstance(pair, list):
-            raise InputError("pair", f"found a list of {len(pair)}", "one system")
         return _audit_pair(estimate, pair, covariance, options)
     return _audit_truth([_compared(*one, options) for one in _matched(estimate, truth, covariance)], options)
 
@@ -179,6 +175,8 @@ def _audit_pair(
 ) -> Audit:
     """The audit of two systems by each other."""
     align = options.align or "all"
+    if isinstance(second, list):
+        raise InputError("pair", f"found a list of {len(second)}", "one system")
     if align == "first":
         raise InputError("align", "found first with `pair`", "none or all")
     of_pair = replace(options, topic=options.pair_topic or options.topic)

@@ -85,9 +85,8 @@ class Audit(Options):
 
         if options.validate:
             return _validated(options)
-        is_pair = options.pair is not None and len(options.estimate) == 1
         found = audit(
-            options.estimate[0] if is_pair else list(options.estimate),
+            options.estimate[0] if len(options.estimate) == 1 else list(options.estimate),
             list(options.truth) or None,
             pair=options.pair,
             covariance=list(options.covariance) or None,

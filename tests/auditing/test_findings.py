@@ -167,26 +167,18 @@ REFUSED = [
     (changed(estimate=GOOD.truth), {}, "truth: found the poses of the estimate"),
     (changed(covs=0.0 * GOOD.covs), {}, "found covariances that are all zero"),
     (changed(covs=spoilt(0, 1, 0.4)), {}, "in the covariance at"),
-    (changed(covs=spoilt(1, 1, -0.3)), {}, "in the covariance at"),
     (changed(covs=spoilt(2, 2, math.nan)), {}, "in the covariance at"),
     (changed(covs=SPACE.covs), {}, "found 6 x 6 of planar poses, allowed: 3 x 3"),
     (changed(covs=GOOD.covs * np.array([1.0, 1.0, 0.0]) * np.array([[1.0], [1.0], [0.0]])), {}, "has full rank"),
     (changed(at=GOOD.stamps + 100.0), {}, "times that overlap"),
     (changed(at=GOOD.stamps[:1], truth=GOOD.truth[:1]), {}, "times that overlap"),
-    (changed(stamps=GOOD.stamps[:2]), {}, "as many stamps as poses"),
     (changed(stamps=GOOD.stamps[:1], estimate=GOOD.estimate[:1], covs=GOOD.covs[:1]), {"align": "first"}, "two or mor"),
     (changed(), {"time_offset": 0.0}, "allowed: the largest one to search, s, above 0"),
-    (changed(), {"time_offset": -0.3}, "allowed: the largest one to search, s, above 0"),
-    (changed(), {"time_offset": 50.0}, "allowed: a smaller limit"),
     (changed(), {"frame": "robot"}, "frame: found 'robot'"),
     (([arrays(GOOD)[0], arrays(SPACE)[0]], [arrays(GOOD)[1], arrays(SPACE)[1]]), {}, "allowed: all in one of them"),
     (([arrays(GOOD)[0]] * 3, [arrays(GOOD)[1]] * 2), {}, "truth: found 2 for 3 estimates"),
-    (("no.tum", arrays(GOOD)[1]), {}, "no.tum: no such file"),
     ((".", arrays(GOOD)[1]), {}, "found a folder, allowed: a ROS bag"),
-    ((3, arrays(GOOD)[1]), {}, "allowed: a file, a run, or arrays"),
     (changed(estimate=np.ones((7, 5))), {}, "estimate poses: expected"),
-    (changed(), {"covariance": ["a", "b"]}, "covariance: found 2 for 1 estimates"),
-    (changed(), {"truth_frames": ("map",)}, "truth frames: found"),
     (([], []), {}, "estimate: found none"),
     ((arrays(GOOD)[0], None), {}, "truth: found nothing"),
 ]
@@ -221,12 +213,6 @@ def test_an_audit_refuses(given, options, complaint):
     with pytest.raises(ss.InputError) as refusal:
         ss.audit(*given, **options)
     assert complaint in str(refusal.value) and "\n" not in str(refusal.value)
-
-
-def test_a_single_pose_that_is_exact_is_no_truth_given_twice():
-    estimate = GOOD.truth.copy()
-    estimate[2, 0, 2] += 0.1
-    assert ss.audit(*changed(estimate=estimate)).findings.poses == len(estimate)
 
 
 def test_a_time_offset_at_the_limit_is_refused_and_the_wrong_sign_is_not_found():

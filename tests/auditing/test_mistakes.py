@@ -31,14 +31,6 @@ def spatial(order):
     return poses, covs
 
 
-def test_good_covariances_have_no_fault():
-    assert notes(np.broadcast_to(COV, (N, 3, 3))) == []
-    poses, covs = spatial("translation")
-    assert notes(covs, poses) == []
-    poses, covs = spatial("rotation")
-    assert notes(covs, poses, order="rotation") == []
-
-
 def test_a_heading_less_certain_than_an_unknown_one_is_told_at_the_value_where_it_begins():
     scale = np.diag([1.0, 1.0, 180.0 / np.pi])
     (note,) = notes(np.broadcast_to(np.diag([0.1, 0.1, 1.82]) ** 2, (N, 3, 3)))
@@ -51,13 +43,6 @@ def test_a_robot_on_a_floor_with_the_rotation_first_is_told():
     poses, covs = spatial("rotation")
     with pytest.raises(InputError):  # x and y have no variance at all
         ss.audit((STAMPS, poses, covs), (STAMPS, TRUTH))
-
-
-def test_covariances_without_full_rank_are_counted():
-    covs = np.array(np.broadcast_to(COV, (N, 3, 3)))
-    covs[11:18] = np.diag([0.01, 0.0, 0.02])
-    (note,) = notes(covs)
-    assert note == "cannot be right: 7 of 300 covariances are not positive definite: their poses are left out"
 
 
 def test_the_exactly_known_pose_at_which_a_map_begins_is_no_fault_and_a_later_one_is():
