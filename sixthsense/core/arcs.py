@@ -17,7 +17,7 @@ def _sinc(angle: float) -> float:
 
 
 def arc(motion: Pose) -> tuple[float, float]:
-    """Length (m, signed) and turn (rad) of the circular arc with the end pose `motion`, as of a differential drive."""
+    """Length (m, signed) and turn (rad) of the circular arc that ends at the pose `motion`."""
     return arc_length(motion.x, motion.y, motion.theta), motion.theta
 
 

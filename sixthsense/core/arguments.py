@@ -17,7 +17,7 @@ from sixthsense.core.laser import MOST_RANGE_M
 def as_array(name: str, value: ArrayLike, shape: tuple[int | str, ...], finite: bool = True) -> Array:
     """`value` as a float64 array of a shape, in which a letter stands for any length.
 
-    Raises ValueError for what is no array of numbers, for another shape and, with `finite`, for NaN and infinity.
+    Raises ValueError for anything but an array of numbers, for another shape and, with `finite`, for NaN and infinity.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -36,7 +36,7 @@ class Slip(NamedTuple):
 
     @staticmethod
     def of(noise: MotionNoise) -> Slip:
-        """Those of a drive's noise."""
+        """The variances of the noise of a drive."""
         return Slip(
             float(noise.slip_position_per_sqrt_m**2),
             float(noise.slip_position_per_sqrt_rad**2),

@@ -31,11 +31,11 @@ class Sensor(NamedTuple):
 
     @classmethod
     def from_array(cls, values: Array) -> Sensor:
-        """The parameters of three numbers, in the order of the fields."""
+        """The parameters of four numbers, in the order of the fields."""
         return cls(*values.tolist())
 
     def array(self) -> Array:
-        """(3,) in the order of the fields."""
+        """(4,) in the order of the fields."""
         return np.array(self)
 
     def corrected(self, point: Array) -> tuple[Array, Array]:

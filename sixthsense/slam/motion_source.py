@@ -213,7 +213,7 @@ class LastVelocity:
         return Odometry(motion, (axes * np.maximum(values, 0.0)) @ axes.T)
 
     def measured(self, guessed: Odometry, found: Odometry) -> None:
-        """Take in the motion since the last keyframe as guessed, and as scan matching has corrected it."""
+        """Update with the motion since the last keyframe as guessed, and as scan matching has corrected it."""
         gain = np.linalg.solve(guessed.cov, self._cross)  # (3, 3) of the smoother: velocity by motion
         off = (guessed.motion.inverse() @ found.motion).array()
         self._velocity = self._velocity + gain.T @ off
@@ -256,11 +256,11 @@ class LastVelocity:
         return Odometry(since.motion, since.cov * np.outer(factors, factors))
 
     def begin_anew(self) -> None:
-        """Take in that the motion begins anew, at a keyframe."""
+        """Begin the motion anew, at a keyframe."""
         self._cross, self._since_key_s = np.zeros((3, 3)), 0.0
 
     def lost(self) -> None:
-        """Take in that scan matching has found no motion."""
+        """Forget the velocity, since scan matching has found no motion."""
         self._velocity, self._cov = np.zeros(3), np.diag(_SIGMAS**2)
         self._stated_s = self._predicted_s = 0.0
         self.begin_anew()

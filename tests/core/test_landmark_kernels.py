@@ -5,7 +5,7 @@ import pytest
 from predicted import predict_points, predict_walls
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each, stacked, translations
+from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each, translations
 from sixthsense.core.landmarks import line_errors
 
 
@@ -64,12 +64,3 @@ def test_innovations(case):
     mixed = turned * of_turn
     of_wall = np.stack([of_turn, mixed, mixed, of_shift + turned**2 * of_turn], axis=-1).reshape(-1, 2, 2)
     assert np.allclose(about, np.where(walls[:, None, None], of_wall, cov), atol=1e-10)
-
-
-def test_the_stacked_jacobian(case):
-    _, pose, landmarks, walls = case
-    _, by_pose, by_landmark = predictions(pose.triple(), landmarks, walls)
-    H = stacked(by_pose, by_landmark, 5)
-    change = np.random.default_rng(1).normal(size=5 + 2 * len(walls))
-    expected = by_pose @ change[:3] + np.einsum("mij,mj->mi", by_landmark, change[5:].reshape(-1, 2))
-    assert np.allclose(H @ change, expected.ravel(), atol=1e-12)

@@ -65,23 +65,6 @@ def test_the_wall_that_a_beam_hits_is_the_only_one_at_its_range():
             assert ranges[i] == pytest.approx(expected[i], abs=1e-9)
 
 
-def test_without_walls_or_beams_nothing_is_hit():
-    ranges, index = hit_walls(Pose(), np.zeros(2), np.zeros((0, 2, 2)), 5.0)
-    assert np.isinf(ranges).all() and index.tolist() == [-1, -1]
-    assert len(hit_walls(Pose(), np.zeros(0), np.ones((1, 2, 2)), 5.0)[1]) == 0
-
-
-def test_rays_in_a_square_room_have_their_closed_form():
-    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=float)
-    bearings = np.linspace(-math.pi, math.pi, 721)
-    found = cast_rays(Pose(0.5, -0.25, 0.0), bearings, walls, 10.0)
-    c, s = np.cos(bearings), np.sin(bearings)
-    with np.errstate(divide="ignore"):
-        to_x = np.where(c > 0, 1.5, 2.5) / np.abs(c)
-        to_y = np.where(s > 0, 2.25, 1.75) / np.abs(s)
-    assert np.allclose(found, np.minimum(to_x, to_y), atol=1e-9)
-
-
 def test_no_ray_leaks_through_the_joint_of_two_walls():
     rng = np.random.default_rng(1)
     for _ in range(200):

@@ -5,7 +5,7 @@ import pytest
 from scanned import box
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.ray_casting import NO_LEGS, Moving, beams_of, cast_among, cast_rays, cast_sweep
+from sixthsense.core.ray_casting import Moving, beams_of, cast_among, cast_rays, cast_sweep
 
 ROOM = box(-4, -3, 8, 6)
 RANGE = 10.0
@@ -43,27 +43,8 @@ def test_a_leg_is_seen_in_every_direction_and_from_inside(x: float, y: float) ->
     assert np.allclose(cast_among(Pose(), beams_of(bearings), ROOM.reshape(-1, 4), RANGE, leg), expected, atol=1e-9)
 
 
-def test_without_legs_ranges_are_the_same_bit_for_bit() -> None:
-    bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
-    walls = ROOM.reshape(-1, 4)
-    assert np.array_equal(cast_among(Pose(1.0, 0.5, 0.3), beams_of(bearings), walls, RANGE, NO_LEGS),
-                          cast_rays(Pose(1.0, 0.5, 0.3), bearings, ROOM, RANGE))  # fmt: skip
-
-
-def test_a_leg_beyond_the_range_is_not_seen() -> None:
-    leg = np.array([[3.0, 0.0, 0.06, 0.0, 0.0]])
-    assert np.isinf(cast_among(Pose(), beams_of(np.zeros(1)), ROOM.reshape(-1, 4), 2.0, leg)).all()
-
-
 def test_during_a_sweep_each_beam_meets_a_leg_where_it_is_then() -> None:
     bearings, times = np.zeros(3), np.array([-0.2, -0.1, 0.0])
     moving = Moving(np.array([[2.0, 0.0, 0.1, 5.0, 0.0]]), times)
     swept = cast_sweep(np.zeros((3, 3)), bearings, ROOM, RANGE, moving)
     assert swept == pytest.approx([0.9, 1.4, 1.9])
-
-
-def test_a_sweep_of_legs_that_stand_sees_what_an_instant_sees() -> None:
-    rng = np.random.default_rng(3)
-    bearings, legs = np.linspace(-np.pi, np.pi, 90, endpoint=False), some_legs(rng, 5)
-    swept = cast_sweep(np.zeros((90, 3)), bearings, ROOM, RANGE, Moving(legs, rng.uniform(-0.1, 0.0, 90)))
-    assert np.allclose(swept, cast_among(Pose(), beams_of(bearings), ROOM.reshape(-1, 4), RANGE, legs), atol=1e-12)

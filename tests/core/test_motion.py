@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sixthsense.config import AssumedConfig, MotionNoise, preset
+from sixthsense.config import AssumedConfig, MotionNoise
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import (
     STANDSTILL,
@@ -73,11 +73,6 @@ def test_the_covariance_of_an_increment_is_that_of_the_simulated_noise(v, w):
     found = np.cov(np.array(samples).T)
     scale = np.sqrt(np.outer(np.diag(expected.cov), np.diag(expected.cov)))
     assert np.abs((found - expected.cov) / scale).max() < 0.05
-
-
-def test_nothing_is_added_at_standstill():
-    still = odometry(Pose(1, 2, 3), Pose(1, 2, 3), preset().assumed)
-    assert still.motion == Pose() and not still.cov.any()
 
 
 @pytest.mark.parametrize("motion", [Pose(0.01, 0, 0), Pose(0, 0, 0.02), Pose(0.01, 1e-4, 0.02)])

@@ -194,7 +194,7 @@ class Grid:
             places = self._make_room(cells, np.zeros(len(cells), dtype=np.bool_))
             self._cells.seen[self._tiles.slots(places)] = True
 
-    def let_pass(self, T_world_robot: Pose, standing_robot: Array, body_m: float) -> None:
+    def block_bodies(self, T_world_robot: Pose, standing_robot: Array, body_m: float) -> None:
         """Block the ways through bodies of a radius about returns (M, 2), robot's frame, in place of earlier ones.
 
         They are inflated as obstacles are, and are none: they are no evidence.

@@ -129,7 +129,7 @@ class Mapper:
             self._submaps = {}
         self.draw()
         if self._has_passing:
-            self._let_pass(_NOTHING)
+            self._block_bodies(_NOTHING)
         if self.earlier is not None:
             self.grid.mark_seen(self.earlier.cells[self.earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], {}
@@ -154,12 +154,12 @@ class Mapper:
             self._boxes.append(self._add(self.grid, k, poses))
         self._drawn_at = np.vstack([self._drawn_at, poses[drawn:]])
         if len(self._standing_robot) or self._has_passing:
-            self._let_pass(self._standing_robot)
+            self._block_bodies(self._standing_robot)
         return self.grid
 
-    def _let_pass(self, standing_robot: Array) -> None:
+    def _block_bodies(self, standing_robot: Array) -> None:
         """Block the way through those who stand in the newest keyframe, and no more through those who stood before."""
-        self.grid.let_pass(Pose.from_array(self._drawn_at[-1]), standing_robot, BODY_M)
+        self.grid.block_bodies(Pose.from_array(self._drawn_at[-1]), standing_robot, BODY_M)
         self._has_passing = len(standing_robot) > 0
 
     def _shift(self, poses: Array) -> Array:

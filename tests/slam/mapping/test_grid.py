@@ -290,7 +290,7 @@ def test_those_who_stand_block_the_ways_around_them_until_they_stand_elsewhere()
         one.add(at, scan_of_room(at), NO_WALLS)
     places = [np.array([[-1.3, 0.4], [0.6, 1.1]]), np.array([[1.2, -0.9]])]
     for standing in places:
-        grid.let_pass(at, standing, body_m)
+        grid.block_bodies(at, standing, body_m)
     (x, y), free, space = (at @ places[1])[0], empty.free_space(), grid.free_space()
     half_diagonal_m = math.sqrt(0.5) * CONFIG.cell_m  # of the cells that each of the two discs touches, and of its own
     for row, col in np.ndindex(free.blocked.shape):
@@ -301,7 +301,7 @@ def test_those_who_stand_block_the_ways_around_them_until_they_stand_elsewhere()
         elif distance_m > radius_m + body_m + 3.0 * half_diagonal_m:
             assert space.is_blocked(centre) == free.is_blocked(centre)
     assert np.array_equal(grid.obstacles, empty.obstacles)
-    grid.let_pass(at, np.zeros((0, 2)), body_m)
+    grid.block_bodies(at, np.zeros((0, 2)), body_m)
     again = grid.free_space()
     assert all(again.is_blocked(free.centre(*cell)) == free.blocked[cell] for cell in np.ndindex(free.blocked.shape))
 
