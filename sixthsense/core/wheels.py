@@ -82,7 +82,7 @@ def wheel_prior(config: AssumedConfig) -> ParameterEstimate[Wheels]:
 
 @numba.njit(cache=True, error_model="numpy")
 def _bent(reported: float, turn: float, wheels: Wheels) -> tuple[float, float, bool]:
-    """Correction of an arc of a reported length (m) and turn: added turn (rad), factor of the length, whether it drives."""
+    """What corrects an arc of a reported length (m) and turn: added turn (rad), factor of the length; is it a drive."""
     scale, lost = 1.0 + wheels.forward_scale_error, wheels.curve_loss_m_per_rad * abs(turn)
     is_driving = scale * abs(reported) >= max(lost, 0.0)  # it does not turn on the spot
     stretch = 0.0

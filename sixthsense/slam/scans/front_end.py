@@ -252,6 +252,8 @@ class ScanFrontEnd:
 
     def _for_estimator(self) -> Odometry:
         """The motion since the last keyframe by odometry, with the errors that the run has shown its wheels to have."""
+        if self._since.is_standstill():
+            return self._since
         motion, factors = self._sources.present.for_estimator(self._since), self._noise.factors
         return Odometry(motion.motion, motion.cov * np.outer(factors, factors), motion.wheels)
 

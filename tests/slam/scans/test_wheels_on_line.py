@@ -81,4 +81,5 @@ def test_what_is_reported_between_keyframes_is_what_the_next_keyframe_is_given()
             if step.keyframe is not None and before is not None and before.motion.position.any():
                 jumps.append(np.sqrt(np.diag(step.keyframe.motion.cov) / np.diag(before.cov)))
             before = step.since
+            assert before.motion.position.any() or not before.cov.any()  # nothing is lost at a standstill
     assert len(jumps) > 10 and np.median(jumps, axis=0).max() < 1.4
