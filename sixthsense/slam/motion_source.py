@@ -237,10 +237,6 @@ class LastVelocity:
         return with_wheel_errors(since)
 
     def for_estimator(self, since: Odometry) -> Odometry:
-        """The motion as `lasting`; there are no wheels."""
-        return self.lasting(since)
-
-    def lasting(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe, with the share of its error that goes on from keyframe to keyframe.
 
         A velocity that was last told a time t ago is wrong by a random walk since then, and by the same in neighbouring
