@@ -57,7 +57,7 @@ def damaged(name: str, log: Log, relations: Relations, seed: int) -> DamagedLog:
         poses = np.column_stack([poses[:, 0], -poses[:, 1], wrap_angle(-poses[:, 2])])
         if laser is not None:
             x, y, theta = laser.mount
-            laser = dataclasses.replace(laser, mount=(x, -y, -theta))
+            laser = laser.replaced(mount=(x, -y, -theta))
     if name == "backwards":
         stamps = sum(_ends_s(ticks)) - stamps
     if name in LONGER:

@@ -16,7 +16,6 @@ over runs. A wrong match is of another wall or point than the landmark, by the w
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import sys
 from collections.abc import Iterator, Sequence
@@ -80,22 +79,22 @@ def figures_of(case: Case) -> Figures:
     estimator = case.setting[1] if case.kind == "tour" else "isam2" if case.kind == "smoother" else "ekf-invariant"
     base = preset("default", scene=name, estimator=estimator, seed=case.seed)
     if case.kind == "explore":
-        return tour_figures(run(dataclasses.replace(base, scene=plan(name), start=start_of(name))))
+        return tour_figures(run(base.replaced(scene=plan(name), start=start_of(name))))
     if case.kind == "smoother":
-        made = run_by_processor(dataclasses.replace(base, task="tour", max_time=LONG_S))
+        made = run_by_processor(base.replaced(task="tour", max_time=LONG_S))
         ms = made.trace.stopwatch.keyframe_ms()
         tenth = len(ms) // 10
         return {"last_over_second_tenth": float(ms[-tenth:].mean() / ms[tenth : 2 * tenth].mean())}
     if case.kind == "tour":
-        return tour_figures(run(dataclasses.replace(base, task="tour", max_time=TOUR_S)))
-    return world_figures(dataclasses.replace(base, task="tour", max_time=WORLD_S))
+        return tour_figures(run(base.replaced(task="tour", max_time=TOUR_S)))
+    return world_figures(base.replaced(task="tour", max_time=WORLD_S))
 
 
 def world_figures(config: Config) -> Figures:
     """A tour of a generated world, or of a plan."""
     name = config.scene if config.scene in FAMILIES else plan(config.scene)
     scene = world(name, config.seed, WORLD_S, config.robot.speed)
-    return tour_figures(simulate(dataclasses.replace(config, scene=name), scene, watch=QUIET))
+    return tour_figures(simulate(config.replaced(scene=name), scene, watch=QUIET))
 
 
 def lines(found: Found) -> Iterator[Line]:

@@ -20,7 +20,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import itertools
 import math
 import sys
@@ -117,14 +116,14 @@ def figures_of(case: Case) -> Figures:
     if case.kind == "houses":
         config = preset("default", task="explore", seed=case.seed)
         scene = str(data_path(f"houses/{name}.yaml"))
-        return explored(dataclasses.replace(config, scene=scene, start=houses()[name]))
+        return explored(config.replaced(scene=scene, start=houses()[name]))
     scene = name if name in SHIPPED else plan(name)
     config = preset("default", estimator="ekf-invariant", task="explore", seed=case.seed)
     if case.kind == "large":
-        return explored(dataclasses.replace(config, scene=scene, start=LARGE[name]))
+        return explored(config.replaced(scene=scene, start=LARGE[name]))
     fields: dict[str, Any] = {"world": {"motion": _SILENT}, "assumed": _CERTAIN, "explore": {"loop_closure": False}}
     config = preset("default", estimator="ekf-invariant", task="explore", **fields)
-    return explored(dataclasses.replace(config, scene=scene, start=begin(scene, case.seed)))
+    return explored(config.replaced(scene=scene, start=begin(scene, case.seed)))
 
 
 def explored(config: Config) -> Figures:
@@ -182,12 +181,12 @@ def laser_figures(seed: int) -> Figures:
     config = preset("default", task="explore", seed=seed, **fields)
     scene = world(family, seed, 80.0, config.robot.speed)
     # The reference passes the same doors, in its larger cells; behind doors too narrow for the robot it sees less.
-    robot = dataclasses.replace(config.robot, radius=fields["robot"]["radius"] - 0.5 * CELL_M)
-    fits = dataclasses.replace(config, robot=robot, grid=dataclasses.replace(config.grid, clearance_m=0.0))
+    robot = config.robot.replaced(radius=fields["robot"]["radius"] - 0.5 * CELL_M)
+    fits = config.replaced(robot=robot, grid=config.grid.replaced(clearance_m=0.0))
     references_m = (nearest_frontier_travel(fits, share, scene) for share in (0.95, 0.8, 0.6, 0.4, 0.2))
     reference_m = next((found for found in references_m if not math.isnan(found)), 0.0)
     limit_s = 10.0 * reference_m / config.robot.speed + _SLACK_S
-    metrics = simulate(dataclasses.replace(config, max_time=limit_s), scene, watch=QUIET).metrics
+    metrics = simulate(config.replaced(max_time=limit_s), scene, watch=QUIET).metrics
     return {
         "outcome": metrics["outcome"], "laser": laser, "collisions": metrics["collisions"],
         "coverage": metrics["coverage"], "travel_m": metrics["path_length_m"], "reference_m": reference_m,

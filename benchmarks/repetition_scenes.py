@@ -118,13 +118,13 @@ def streets(rng: np.random.Generator) -> Building:
 
 _HALF, _ROUND = 181, 360
 SCENES = {
-    "doors": Scene(corridor_of_doors, LaserConfig(_HALF, math.pi, 12.0)),
-    "rooms": Scene(row_of_rooms, LaserConfig(_ROUND, max_range=10.0)),
-    "furniture": Scene(furnished_rooms, LaserConfig(_ROUND, max_range=10.0)),
-    "niches": Scene(square_of_niches, LaserConfig(_HALF, math.pi, 20.0), beam_sigma_m=0.02),
-    "parallel": Scene(parallel_corridors, LaserConfig(_HALF, math.pi, 30.0)),
-    "out and back": Scene(out_and_back, LaserConfig(_ROUND, max_range=8.0), slips=2, beam_sigma_m=0.015),
-    "streets": Scene(streets, LaserConfig(_HALF, math.pi, 25.0), slips=1),
+    "doors": Scene(corridor_of_doors, LaserConfig(beams=_HALF, fov=math.pi, max_range=12.0)),
+    "rooms": Scene(row_of_rooms, LaserConfig(beams=_ROUND, max_range=10.0)),
+    "furniture": Scene(furnished_rooms, LaserConfig(beams=_ROUND, max_range=10.0)),
+    "niches": Scene(square_of_niches, LaserConfig(beams=_HALF, fov=math.pi, max_range=20.0), beam_sigma_m=0.02),
+    "parallel": Scene(parallel_corridors, LaserConfig(beams=_HALF, fov=math.pi, max_range=30.0)),
+    "out and back": Scene(out_and_back, LaserConfig(beams=_ROUND, max_range=8.0), slips=2, beam_sigma_m=0.015),
+    "streets": Scene(streets, LaserConfig(beams=_HALF, fov=math.pi, max_range=25.0), slips=1),
 }  # fmt: skip
 
 

@@ -136,7 +136,7 @@ def made(src: Source, front: str, damage: str, seed: int) -> dict[str, Any]:
     if front == "scan-matching" and base.front_end != front:
         base = preset("log")
     log = Log(ticks, None)
-    config = dataclasses.replace(base, laser=src.laser) if src.laser is not None else base
+    config = base.replaced(laser=src.laser) if src.laser is not None else base
     began = time.process_time()
     trace = replay(log, of_log(config, log)).trace
     spent = time.process_time() - began

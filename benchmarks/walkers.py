@@ -9,7 +9,6 @@ is pooled over the keyframes of a row's runs; times are simulated seconds, as a 
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 import time
@@ -105,7 +104,7 @@ def main() -> int:
         preset(scene=s, estimator=e, front_end=FRONT_ENDS[e], max_time=options.max_time, world={"walkers": n})
         for s, e, n in kinds
     ]
-    due = [dataclasses.replace(config, seed=seed) for config in configs for seed in range(options.seeds)]
+    due = [config.replaced(seed=seed) for config in configs for seed in range(options.seeds)]
     rows = pooled(make_row, due, options.jobs, warm)
     of = {kind: rows[k * options.seeds : (k + 1) * options.seeds] for k, kind in enumerate(kinds)}
     lines = [["scene", "estimator", "walkers", "runs", *(head for head, *_ in COLUMNS)]]

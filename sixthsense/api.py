@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute, path_of
+from sixthsense.config.parts import import_named
 from sixthsense.config.section import shown
-from sixthsense.config.tree import task_of
+from sixthsense.config.tree import implied, task_of
 from sixthsense.running.runs import RunHooks, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
+    from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
     from sixthsense.figures.run import Run
     from sixthsense.logs.log import Log, Relations
     from sixthsense.logs.replay_input import LogSelection, ReplayInput
@@ -264,7 +265,7 @@ def with_task(config: Config, given: Mapping[str, Any]) -> Config:
     """
     config = merge(config, task_of(given))
     if Path(config.scene).suffix:
-        config = dataclasses.replace(config, scene=str(absolute(config.scene)))
+        config = config.replaced(scene=str(absolute(config.scene)))
     return config
 
 
@@ -272,4 +273,9 @@ def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
     """Apply the given fields to a preset or a complete configuration."""
     if isinstance(base, Config) and "preset" in given:
         raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
-    return merge(base if isinstance(base, Config) else preset(base), given)
+    config = base if isinstance(base, Config) else preset(base)
+    import_named(given)
+    merged = merge(config, given)
+    for note in implied(config, given, merged):
+        warnings.warn(note, stacklevel=4)
+    return merged

@@ -1,13 +1,14 @@
 """For each field of the configuration another valid value than the default."""
 
-import dataclasses
-import types
-import typing
+import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from sixthsense.config import Config, Range, Section
-from sixthsense.config.parts import PartOptions, Parts
+from pydantic.fields import FieldInfo
+
+from sixthsense.config import Config, Section
+from sixthsense.config.parts import Parts
+from sixthsense.config.section import choices_of, kind_of
 
 STATED = {
     "scene": "rectangle", "preset": "worn", "goal": (1.25, -0.75), "start": (-1.25, -0.4, 0.3),
@@ -22,48 +23,38 @@ TOGETHER = {
 """values, besides, with which all others are valid at once"""
 
 
-def other(hint: Any, value: Any, step: float) -> Any:
-    """A valid value of the annotated type, another one than `value`; it differs for each `step` if it is a number."""
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Annotated:
-        for note in args[1:]:
-            if isinstance(note, Parts):
-                return next((name for name in note if name != value), note.shipped[value])
-            if isinstance(note, Range):
-                return next(found for found in candidates(args[0], value, step) if found in note)
-        return other(args[0], value, step)
-    if origin is Literal:
-        return next(choice for choice in args if choice != value)
-    if origin in (typing.Union, types.UnionType):
-        return other(args[0], value, step)
-    if origin is tuple:
-        return tuple(other(args[0], one, step + 0.1 * k) for k, one in enumerate(value))
-    return not value if hint is bool else next(candidates(hint, value, step))
+def other(field: FieldInfo, value: Any, step: float) -> Any:
+    """A valid value of a field, another one than `value`; it differs for each `step` if it is a number."""
+    kind, notes = kind_of(field)
+    for note in notes:
+        if isinstance(note, Parts):
+            return next((name for name in note if name != value), note.shipped[value])
+    if names := choices_of(field):
+        return next(name for name in names if name != value)
+    if isinstance(value, tuple):
+        return tuple(one + step + 0.1 * k for k, one in enumerate(value))
+    if kind is bool:
+        return not value
+    steps = (value + 1, value - 1) if kind is int else (value * (1.0 + step) if value else step, value * (1.0 - step))
+    high = min((note.le for note in notes if hasattr(note, "le")), default=math.inf)
+    return next(found for found in steps if found <= high)
 
 
-def candidates(hint: type, value: float, step: float) -> Iterator[float]:
-    if hint is int:
-        yield from (value + 1, value - 1)
-    else:
-        yield from (value * (1.0 + step) if value else step, value * (1.0 - step))
-
-
-def fields(section: type[Section] = Config, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Dotted name, annotated type and default of every field."""
-    hints = typing.get_type_hints(section, include_extras=True)
-    for field in dataclasses.fields(section):  # type: ignore[arg-type]
-        hint = hints[field.name]
-        if isinstance(hint, type) and issubclass(hint, Section):
-            yield from fields(hint, f"{path}{field.name}.")
-        elif hint is not PartOptions:
-            yield path + field.name, hint, getattr(section(), field.name)
+def fields(section: type[Section] = Config, path: str = "") -> Iterator[tuple[str, FieldInfo, Any]]:
+    """Dotted name, field and default of every field."""
+    for name, field in section.model_fields.items():
+        value = field.get_default(call_default_factory=True)
+        if isinstance(value, Section):
+            yield from fields(type(value), f"{path}{name}.")
+        elif not isinstance(value, dict):
+            yield path + name, field, value
 
 
 def changed() -> dict[str, Any]:
     """The other value of each field, by dotted name."""
     found = {}
-    for k, (name, hint, default) in enumerate(fields()):
-        found[name] = STATED[name] if name in STATED else other(hint, default, 0.01 + 1e-4 * k)
+    for k, (name, field, default) in enumerate(fields()):
+        found[name] = STATED[name] if name in STATED else other(field, default, 0.01 + 1e-4 * k)
     return found
 
 
@@ -82,11 +73,9 @@ def nested(flat: dict[str, Any]) -> dict[str, Any]:
 def flat(section: Section, path: str = "") -> dict[str, Any]:
     """The value of each field, by dotted name."""
     found: dict[str, Any] = {}
-    for field in dataclasses.fields(section):  # type: ignore[arg-type]
-        value = getattr(section, field.name)
-        if isinstance(value, PartOptions):
-            continue
-        found |= flat(value, f"{path}{field.name}.") if isinstance(value, Section) else {path + field.name: value}
+    for name, value in section:
+        if not isinstance(value, dict):
+            found |= flat(value, f"{path}{name}.") if isinstance(value, Section) else {path + name: value}
     return found
 
 
@@ -95,7 +84,13 @@ def words(flags: dict[str, Any]) -> list[str]:
     said: list[str] = []
     for name, value in flags.items():
         flag = f"--{name.replace('_', '-')}"
+        if name == "scene":
+            said.insert(0, value)
+            continue
+        if isinstance(value, bool):
+            said.append(f"{flag}={str(value).lower()}")
+            continue
         rows = value if isinstance(value, tuple) else (value,)
         numbers = [number for row in rows for number in (row if isinstance(row, tuple) else (row,))]
-        said += [flag, *(str(one).lower() if isinstance(one, bool) else str(one) for one in numbers)]
+        said += [flag, *map(str, numbers)]
     return said

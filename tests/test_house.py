@@ -34,7 +34,8 @@ def module_name(path: Path) -> str:
 
 @cache
 def sources() -> dict[str, str]:
-    return {module_name(path): path.read_text() for path in sorted(PACKAGE.rglob("*.py"))}
+    files = [*PACKAGE.rglob("*.py"), PACKAGE / "config" / "fields.pyi"]
+    return {module_name(path): path.read_text() for path in sorted(files)}
 
 
 @cache

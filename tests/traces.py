@@ -46,7 +46,7 @@ def observation_of(rng: np.random.Generator, kind: Kind) -> Observation:
 
 
 def scene_of(rng: np.random.Generator) -> Scene:
-    walk = ScriptedWalk(((1.5, 2.5), (-3.5, 4.5)), 0.7, (2.0, 3.0))
+    walk = ScriptedWalk(points=((1.5, 2.5), (-3.5, 4.5)), speed=0.7, pauses=(2.0, 3.0))
     goal, *tour = map(tuple, rng.normal(size=(4, 2)).tolist())
     region = tuple(rng.normal(size=4).tolist())
     segments = rng.normal(size=(5, 2, 2))

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
+import ast
 import inspect
 import io
+import itertools
 import re
 import typing
 from collections.abc import Iterator
 from contextlib import redirect_stdout
-from typing import Annotated, Any, Literal, Union
+from typing import Any
+
+from pydantic.fields import FieldInfo
 
 from sixthsense.cli import COMMANDS, command_class, main
-from sixthsense.cli.help import usage
-from sixthsense.cli.options import options_of
+from sixthsense.cli.listing import parser_of
+from sixthsense.cli.options import Option, Options
 from sixthsense.config import PRESETS, Config, Section, preset
-from sixthsense.config.parts import PartOptions
-from sixthsense.config.section import field_texts
+from sixthsense.config.section import allowed, kind_of
 from sixthsense.evaluation.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
@@ -102,11 +104,12 @@ def command_line() -> str:
     for name in COMMANDS:
         command = command_class(name)
         lines += [f"## {name}", "", inspect.getdoc(command) or "", ""]
-        own = [o for o in options_of(command) if o.owner is command and o.name not in command.refused]
-        own.sort(key=lambda option: option.name in _SHARED)
+        options = [option for option in parser_of(name, command)._actions if isinstance(option, Option)]
+        own = [o for o in options if issubclass(o.owner, Options) and o.dest not in command.refused]
+        own.sort(key=lambda option: option.dest in _SHARED)
         if own:
             lines += ["| option | meaning |", "| --- | --- |"]
-            lines += [f"| `{_cell(usage(option))}` | {_cell(option.text)} |" for option in own] + [""]
+            lines += [f"| `{_cell(option.usage)}` | {_cell(option.field.description or '')} |" for option in own] + [""]
     return "\n".join(lines)
 
 
@@ -125,21 +128,16 @@ def metrics() -> str:
 
 def _section(section: type[Section], path: str, level: int) -> list[str]:
     """Return heading, text and table of a section, then those of its subsections."""
-    hints, texts, default = typing.get_type_hints(section, include_extras=True), field_texts(section), section()
     title = path.rstrip(".") or "Top level"
     lines = ["#" * min(level, 4) + f" {title}", "", inspect.getdoc(section) or "", ""]
     inner: list[tuple[str, type[Section]]] = []
     rows = []
-    for field in dataclasses.fields(typing.cast(Any, section)):
-        hint = hints[field.name]
-        if isinstance(hint, type) and issubclass(hint, Section):
-            inner.append((f"{path}{field.name}.", hint))
+    for name, field in section.model_fields.items():
+        default, text = field.get_default(call_default_factory=True), field.description or ""
+        if isinstance(default, Section):
+            inner.append((f"{path}{name}.", type(default)))
             continue
-        text = texts[field.name]
-        value = _shown(getattr(default, field.name))
-        rows.append(
-            f"| `{path}{field.name}` | {value} | {_unit(field.name, text)} | {_allowed(hint)} | {_cell(text)} |"
-        )
+        rows.append(f"| `{path}{name}` | {_shown(default)} | {_unit(name, text)} | {_allowed(field)} | {_cell(text)} |")
     if rows:
         heads = ["| field | default | unit | allowed | meaning |", "| --- | --- | --- | --- | --- |"]
         lines += ['<div class="fields" markdown>', "", *heads, *rows, "", "</div>", ""]  # stacked on a phone
@@ -161,21 +159,13 @@ def _unit(name: str, text: str) -> str:
     return found.group(1).replace("^2", "²") if found else ""
 
 
-def _allowed(hint: Any) -> str:
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Annotated:
-        base, bounds = arguments
-        return (f"{'whole, ' if base is int else ''}{bounds}").replace("1e+09", "1e9")
-    if origin is Literal:
-        return ", ".join(f"`{choice}`" for choice in arguments)
-    if origin is Union or type(None) in arguments:
-        return f"{_allowed(arguments[0])}, or none"
-    if origin is tuple and arguments[-1] is Ellipsis:
-        return f"a list, each {_allowed(arguments[0])}"
-    if origin is tuple:
-        kinds = {_allowed(argument) for argument in arguments}
-        return f"{len(arguments)} numbers" + (f", each {kinds.pop()}" if kinds != {"a number"} else "")
-    return {float: "a number", int: "whole", bool: "true, false", str: "text", PartOptions: "a table"}[hint]
+def _allowed(field: FieldInfo) -> str:
+    kind, _ = kind_of(field)
+    names = {float: "a number", int: "whole", bool: "true, false", str: "text"}
+    found = allowed(field) or names.get(kind, "a table")
+    whole = "whole, " if kind is int and found != "whole" else ""
+    absent = ", or none" if type(None) in typing.get_args(field.annotation) else ""
+    return f"{whole}{found}{absent}".replace("1e+09", "1e9")
 
 
 def _shown(value: Any) -> str:
@@ -189,12 +179,24 @@ def _shown(value: Any) -> str:
 
 
 def _changes(section: Section, base: Section, path: str = "") -> Iterator[tuple[str, Any]]:
-    for field in dataclasses.fields(typing.cast(Any, section)):
-        value, before = getattr(section, field.name), getattr(base, field.name)
+    for name, value in section:
+        before = getattr(base, name)
         if isinstance(value, Section):
-            yield from _changes(value, before, f"{path}{field.name}.")
+            yield from _changes(value, before, f"{path}{name}.")
         elif value != before:
-            yield f"{path}{field.name}", value
+            yield f"{path}{name}", value
+
+
+def field_texts(cls: type) -> dict[str, str]:
+    """Return the docstring under each field of a dataclass, by the field's name."""
+    (definition,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(cls))).body
+    assert isinstance(definition, ast.ClassDef)
+    return {
+        field.target.id: str(text.value.value)
+        for field, text in itertools.pairwise(definition.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+    }
 
 
 def _cell(text: str) -> str:

@@ -18,7 +18,6 @@ from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, ca
 from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed, run_planned
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.config.fields import CampaignFields
 from sixthsense.config.files import path_of
 from sixthsense.config.parts import KINDS
 from sixthsense.config.section import shown
@@ -33,6 +32,8 @@ from sixthsense.running.warmup import prepare
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from sixthsense.config.fields import CampaignFields
 
 
 @dataclass(frozen=True, slots=True)

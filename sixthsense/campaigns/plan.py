@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import itertools
 import json
@@ -75,7 +74,7 @@ class CampaignPlan:
         for scene in self.values["scene"]:
             loaded = load_scene(scene, bases[0].map_unknown)
             for base in bases:
-                at_scene = with_people(loaded, dataclasses.replace(base, scene=scene))
+                at_scene = with_people(loaded, base.replaced(scene=scene))
                 mission(loaded, at_scene)
                 for names in itertools.product(*(self.values.get(parts.kind, (None,)) for parts in KINDS)):
                     named = {parts.kind: name for parts, name in zip(KINDS, names, strict=True) if name is not None}
@@ -120,7 +119,7 @@ class PlannedRun:
     @property
     def config(self) -> Config:
         """The complete configuration, with the seed."""
-        return dataclasses.replace(self.setting, seed=self.seed)
+        return self.setting.replaced(seed=self.seed)
 
     def axes(self) -> dict[str, Any]:
         """The values of the axes and the seed."""

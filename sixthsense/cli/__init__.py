@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sixthsense.config.errors import InputError, PartError, nearest
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from sixthsense.cli.options import Options
 
 DONE, FAILED, BAD_INPUT, DOUBTFUL, BROKEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
+OUT_OF_MEMORY, DISK_FULL = 71, 74
+"""EX_OSERR and EX_IOERR of sysexits.h"""
 EXIT_CODES = {
     "goal reached": DONE,
     "tour ended": DONE,
@@ -62,8 +64,8 @@ commands:
 {commands}
 
 `sixthsense COMMAND --help` lists a command's options, `sixthsense --version`
-tells the version. Exit codes: 0 done, 1 robot failed, 2 bad input, 130 Ctrl-C;
-with --strict 3 map doubtful, 4 map broken.
+tells the version. Exit codes: 0 done, 1 robot failed, 2 bad input, 130 Ctrl-C,
+71 out of memory, 74 disk full; with --strict 3 map doubtful, 4 map broken.
 """
 
 
@@ -76,13 +78,10 @@ def usage() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code.
 
-    0: done; 1: the robot failed; 2: bad input; 3, 4: the map is doubtful, broken, where that is asked for; 130, 143,
-    129: ended by Ctrl-C, SIGTERM, SIGHUP.
+    0: done; 1: the robot failed; 2: bad input; 3, 4: the map is doubtful, broken, where that is asked for; 71: out of
+    memory; 74: the disk is full; 130, 143, 129: ended by Ctrl-C, SIGTERM, SIGHUP.
     """
-    args = list(sys.argv[1:] if argv is None else argv)
-    with contextlib.suppress(OSError):  # of a folder that is gone
-        if not {"", str(here := Path.cwd())} & set(sys.path):
-            sys.path.append(str(here))  # where a user's own parts are looked for last
+    args, thresholds = list(sys.argv[1:] if argv is None else argv), gc.get_threshold()
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     with command_signals() as signals:
         try:
@@ -94,6 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             _say("sixthsense: interrupted")
             code = INTERRUPTED
         signals.is_over, signals.is_last = True, argv is None
+        gc.set_threshold(*thresholds)
         return signals.exit_code(_flushed(code))
 
 
@@ -122,31 +122,37 @@ def _run(args: list[str]) -> int:
         if args[0] not in COMMANDS:
             near = nearest(args[0], (*COMMANDS, "--help", "--version"))
             raise InputError("command", f"found {args[0]!r}", ", ".join(COMMANDS), near)
-        from sixthsense.cli.help import help_text, help_topic
-
-        command, words = command_class(args[0]), args[1:]
-        if (topic := help_topic(words)) is not None:
-            print(help_text(args[0], command, topic))
-            return DONE
-        return command.main(words)
+        return _run_command(args[0], args[1:])
+    except SystemExit:  # of the help
+        return DONE
     except BrokenPipeError:
         return FAILED
     except InputError as error:
-        from sixthsense.cli.options import with_options
-
-        return _report_error(with_options(error, command_class(args[0])) if args[0] in COMMANDS else str(error))
+        return _report_error(str(error), BAD_INPUT)
     except PartError as error:
-        _report_error("; ".join([str(error), *getattr(error, "__notes__", ())]))
-        return FAILED
+        return _report_error("; ".join([str(error), *getattr(error, "__notes__", ())]), FAILED)
     except MemoryError as error:
-        return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]))
+        return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]), OUT_OF_MEMORY)
     except OSError as error:
-        return _report_error(f"{error.filename or 'output'}: {error.strerror or error}")
+        code = DISK_FULL if error.errno == errno.ENOSPC else BAD_INPUT
+        return _report_error(f"{error.filename or 'output'}: {error.strerror or error}", code)
 
 
-def _report_error(message: str) -> int:
+def _run_command(name: str, words: list[str]) -> int:
+    """Parse a command's words and run it; an error that is told has the options' names."""
+    command, common = command_class(name), import_module("sixthsense.cli.common")
+    parser = import_module("sixthsense.cli.listing").parser_of(name, command)
+    try:
+        options, flags = common.read_command(command, parser, words)
+        code: int = options.run(flags)
+        return code
+    except InputError as error:
+        raise InputError("", common.with_options(error, parser)) from error
+
+
+def _report_error(message: str, code: int) -> int:
     _say(f"sixthsense: {' '.join(message.split())}")
-    return BAD_INPUT
+    return code
 
 
 def _say(line: str) -> None:

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from pydantic import Field
+
 from sixthsense.cli import DONE, FAILED
-from sixthsense.cli.options import OptionalValue, Options, arg, parse, positional
-from sixthsense.config import Range
+from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config.errors import InputError
 
 _FORMS = (".png", ".svg", ".pdf")
 
 
-def _is_number(text: str) -> bool:
-    try:
-        return float(text) > 0.0
-    except ValueError:
-        return False
-
-
-@dataclass(frozen=True)
 class Audit(Options):
     """Compare the covariances of a system's poses with its errors.
 
@@ -30,14 +22,14 @@ class Audit(Options):
     come from the effective number of samples.
     """
 
-    estimate: Annotated[tuple[str, ...], positional("ESTIMATE ...")] = ()
+    estimate: Annotated[tuple[str, ...], Arg("ESTIMATE ...", is_positional=True)] = ()
     """ROS bag with PoseWithCovarianceStamped or Odometry; TUM file with --covariance; folder of a run. Several are
     pooled as independent runs."""
-    truth: Annotated[tuple[str, ...], arg("FILE ...")] = ()
+    truth: Annotated[tuple[str, ...], Arg("FILE ...")] = ()
     """Bag, TUM file or folder of a run, one for each estimate. By default that of the run."""
-    pair: Annotated[str | None, arg("FILE")] = None
+    pair: Annotated[str | None, Arg("FILE")] = None
     """Without a truth: another system on the same drive, in the forms of ESTIMATE."""
-    covariance: Annotated[tuple[str, ...], arg("FILE ...")] = ()
+    covariance: Annotated[tuple[str, ...], Arg("FILE ...")] = ()
     """Covariances of TUM files: in each line a stamp and the 6 or 21 numbers of the upper triangle. With --pair one for
     each system, the estimate's first."""
     topic: str = ""
@@ -46,7 +38,7 @@ class Audit(Options):
     """Topic of the other systems; by default as --topic."""
     truth_topic: str = ""
     """Topic of the truth in a bag: one of poses, or /tf."""
-    truth_frames: Annotated[tuple[str, str] | None, arg("PARENT CHILD")] = None
+    truth_frames: Annotated[tuple[str, str] | None, Arg("PARENT CHILD")] = None
     """In /tf; by default those that the estimate names."""
     frame: Literal["world", "body"] | None = None
     """Whose axes the covariances have; by default the world's, as ROS has it."""
@@ -55,59 +47,53 @@ class Audit(Options):
     align: Literal["none", "first", "all"] | None = None
     """none, the default without --pair. first: the first pose becomes the true one, and its covariance counts. all: by
     all poses, the degrees of freedom are taken off."""
-    time_offset: Annotated[
-        Annotated[float, Range(0.0, open_low=True)] | None,
-        arg("[S]"),
-        OptionalValue("1", _is_number, "seconds, above 0"),
-    ] = None
+    time_offset: Annotated[float | None, Field(gt=0.0), Arg("[S]", without=1.0)] = None
     """Search an offset of the stamps up to S seconds (1)."""
     same_start: bool = False
     """Both begin together, by other clocks: stamps count from the first pose of each."""
     figure: Path | None = None
     """Draw errors in their 3-sigma tubes, NEES with its band and chi-square Q-Q: .png, .svg or .pdf."""
-    json: Path | None = None
+    numbers: Annotated[Path | None, Arg("FILE", flag="json")] = None
     """Write all numbers; a page with figures for a file that ends in .html."""
     overwrite: bool = False
     """Replace these files if they exist."""
-    validate: bool = False
+    validates: Annotated[bool, Arg("", flag="validate")] = False
     """Only say what cannot be right in the estimates, without a truth: exit code 1 if something cannot."""
     require: Literal["consistent"] | None = None
     """Exit code 1 unless the verdict is consistent."""
 
-    @classmethod
-    def main(cls, args: list[str]) -> int:
+    def run(self, flags: Table) -> int:
         """Audit the covariances of a system's poses."""
-        options = Audit(**parse(args, Audit)[0])
-        if not options.estimate:
+        if not self.estimate:
             raise InputError("estimate", "found nothing", "a bag, a TUM file or the folder of a run, before `truth`")
-        _check_outputs(options)
+        _check_outputs(self)
         from sixthsense.auditing.call import audit
 
-        if options.validate:
-            return _validated(options)
+        if self.validates:
+            return _validated(self)
         found = audit(
-            options.estimate[0] if len(options.estimate) == 1 else list(options.estimate),
-            list(options.truth) or None,
-            pair=options.pair,
-            covariance=list(options.covariance) or None,
-            topic=options.topic,
-            pair_topic=options.pair_topic,
-            truth_topic=options.truth_topic,
-            truth_frames=options.truth_frames,
-            frame=options.frame,
-            order=options.order,
-            align=options.align,
-            time_offset=options.time_offset,
-            same_start=options.same_start,
+            self.estimate[0] if len(self.estimate) == 1 else list(self.estimate),
+            list(self.truth) or None,
+            pair=self.pair,
+            covariance=list(self.covariance) or None,
+            topic=self.topic,
+            pair_topic=self.pair_topic,
+            truth_topic=self.truth_topic,
+            truth_frames=self.truth_frames,
+            frame=self.frame,
+            order=self.order,
+            align=self.align,
+            time_offset=self.time_offset,
+            same_start=self.same_start,
         )
         print(found)
-        if options.json is not None:
-            found.save(options.json)
-            print(f"written: {options.json}")
-        if options.figure is not None:
-            found.plot().savefig(options.figure, dpi=150)
-            print(f"written: {options.figure}")
-        return FAILED if options.require and found.outcome != options.require else DONE
+        if self.numbers is not None:
+            found.save(self.numbers)
+            print(f"written: {self.numbers}")
+        if self.figure is not None:
+            found.plot().savefig(self.figure, dpi=150)
+            print(f"written: {self.figure}")
+        return FAILED if self.require and found.outcome != self.require else DONE
 
 
 def _validated(options: Audit) -> int:
@@ -131,7 +117,7 @@ def _validated(options: Audit) -> int:
 
 def _check_outputs(options: Audit) -> None:
     """Raise InputError for a file that exists and may not be replaced, and for a figure of another form."""
-    for name, file in (("json", options.json), ("figure", options.figure)):
+    for name, file in (("json", options.numbers), ("figure", options.figure)):
         if file is not None and file.exists() and not options.overwrite:
             raise InputError(name, f"{file} exists", "a new file, or `overwrite`")
     figure = options.figure

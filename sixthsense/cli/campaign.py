@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from pydantic import Field
+
 from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
-from sixthsense.cli.options import Options, Table, arg, is_of_part, of_parts, parse, positional
-from sixthsense.config import Range, is_of_replay, load_config, merge, preset, prior_map_of
+from sixthsense.cli.options import Arg, Options, Table
+from sixthsense.config import is_of_replay, load_config, preset, prior_map_of
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import ESTIMATORS, EXPLORERS, EXTRACTORS, FRONT_ENDS, KINDS, PLACE_SEARCHES, PLANNERS
+from sixthsense.config.parts import (
+    ESTIMATORS,
+    EXPLORERS,
+    EXTRACTORS,
+    FRONT_ENDS,
+    PLACE_SEARCHES,
+    PLANNERS,
+    import_named,
+)
 from sixthsense.config.tree import task_of
 
 
-@dataclass(frozen=True)
 class Campaign(Options):
     """Monte Carlo: run every scene with every preset, estimator, other part and seed, and keep metrics of each run.
 
@@ -31,55 +38,52 @@ class Campaign(Options):
 
     takes_fields: ClassVar[bool] = True
 
-    scene: Annotated[tuple[str, ...], positional("[SCENE ...]")] = ()
+    scene: Annotated[tuple[str, ...], Arg("[SCENE ...]", is_positional=True)] = ()
     """Shipped names or files (.toml, map_server .yaml, .scn), before all options."""
-    seeds: Annotated[tuple[str, ...], arg("FIRST:LAST ...")] = ()
+    seeds: Annotated[tuple[str, ...], Arg("FIRST:LAST ...")] = ()
     """Seeds from FIRST to LAST, LAST excluded; several ranges and single seeds may be given."""
-    preset: Annotated[tuple[str, ...], arg("NAME ...")] = ()
+    preset: Annotated[tuple[str, ...], Arg("NAME ...")] = ()
     """Presets to compare."""
-    estimator: Annotated[tuple[Annotated[str, ESTIMATORS], ...], arg("NAME ...")] = ()
+    estimator: Annotated[tuple[Annotated[str, ESTIMATORS], ...], Arg("NAME ...")] = ()
     """Estimators to compare."""
-    front_end: Annotated[tuple[Annotated[str, FRONT_ENDS], ...], arg("NAME ...")] = ()
+    front_end: Annotated[tuple[Annotated[str, FRONT_ENDS], ...], Arg("NAME ...")] = ()
     """Front ends to compare."""
-    extractor: Annotated[tuple[Annotated[str, EXTRACTORS], ...], arg("NAME ...")] = ()
+    extractor: Annotated[tuple[Annotated[str, EXTRACTORS], ...], Arg("NAME ...")] = ()
     """Extractors of features to compare."""
-    place_search: Annotated[tuple[Annotated[str, PLACE_SEARCHES], ...], arg("NAME ...")] = ()
+    place_search: Annotated[tuple[Annotated[str, PLACE_SEARCHES], ...], Arg("NAME ...")] = ()
     """Place searches to compare."""
-    planner: Annotated[tuple[Annotated[str, PLANNERS], ...], arg("NAME ...")] = ()
+    planner: Annotated[tuple[Annotated[str, PLANNERS], ...], Arg("NAME ...")] = ()
     """Path planners to compare."""
-    explorer: Annotated[tuple[Annotated[str, EXPLORERS], ...], arg("NAME ...")] = ()
+    explorer: Annotated[tuple[Annotated[str, EXPLORERS], ...], Arg("NAME ...")] = ()
     """Explorers to compare."""
     config: Path | None = None
     """TOML file, partial or complete, that overrides each preset."""
-    out: Annotated[Path | None, arg("DIR")] = None
+    out: Annotated[Path | None, Arg("DIR")] = None
     """Folder to write: campaign.toml, rows.jsonl and curves/; ss.load_campaign(DIR) reads it."""
     retry_failed: bool = False
     """Repeat the runs with the outcome "error"; without it they count as done."""
-    workers: Annotated[int, Range(1, 1024)] | None = None
+    parts: Annotated[Path | None, Arg("DIR")] = None
+    """Folder to search for parts of your own, also for those that only a file names. A part is code that is run."""
+    workers: Annotated[int | None, Field(ge=1, le=1024)] = None
     """Processes of this machine; by default one per processor."""
-    scheduler: Annotated[str | None, arg("ADDRESS")] = None
+    scheduler: Annotated[str | None, Arg("ADDRESS")] = None
     """Run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786."""
 
-    @classmethod
-    def main(cls, args: list[str]) -> int:
+    def run(self, flags: Table) -> int:
         """Make the runs of a campaign that are missing in its folder."""
-        given, table = parse(args, Campaign)
-        if any(map(is_of_part, args)):
-            kinds = [parts.kind for parts in KINDS]
-            parts = (of_parts(merge(preset(), {k: v})) for k in kinds for v in given.get(k, ()))
-            given, table = parse(args, Campaign, chain(*parts))
-        options = Campaign(**given)
-        out = _checked_folder(options, table)
+        out = _checked_folder(self, flags)
         from sixthsense.campaigns import Execution, complete
         from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
 
-        file = _read_config_table(options.config, options.preset)
+        file = _read_config_table(self.config, self.preset)
+        if self.parts is not None:
+            import_named(file, self.parts)
         axes = {axis: (file[axis],) for axis in AXES if axis in file}
-        axes |= {axis: values for axis in AXES if (values := getattr(options, axis))}
-        seeds = (seed for text in options.seeds for seed in seed_range(text))
-        campaign = campaign_of(axes, seeds, file, task_of(table), table)
+        axes |= {axis: values for axis in AXES if (values := getattr(self, axis))}
+        seeds = (seed for text in self.seeds for seed in seed_range(text))
+        campaign = campaign_of(axes, seeds, file, task_of(flags), flags)
         runs = plan(campaign)
-        execution = Execution(options.workers, options.scheduler, options.retry_failed, say=announce)
+        execution = Execution(self.workers, self.scheduler, self.retry_failed, say=announce)
         interrupted = False
         try:
             complete(campaign, runs, out, execution)

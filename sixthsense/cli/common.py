@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import itertools
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from sixthsense.cli import DONE, EXIT_CODES, EXIT_CODES_OF_MAPS, FAILED
-from sixthsense.cli.options import (
-    OptionalValue,
-    Options,
-    Table,
-    arg,
-    as_options,
-    is_of_part,
-    of_parts,
-    options_of,
-    parse,
-    positional,
-)
+from sixthsense.cli.options import Arg, Options, Parser, Table, as_options, parse
+from sixthsense.cli.options import with_options as with_options
 from sixthsense.config import Config, load_config, merge, preset, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
-from sixthsense.config.parts import FRONT_ENDS
+from sixthsense.config.parts import FRONT_ENDS, import_named
 from sixthsense.config.section import shown
+from sixthsense.config.tree import implied, with_checked_parts
 from sixthsense.loop.interrupt import is_command_ended
 from sixthsense.simulation.scene_files import scene_file
 from sixthsense.view import VIEW_TARGETS, is_view_target
@@ -42,45 +31,45 @@ if TYPE_CHECKING:
     from sixthsense.record.folder import RunFolder
     from sixthsense.slam.prior_map import PriorStart
 
-C = TypeVar("C", bound="WithSettings")
 
-
-@dataclass(frozen=True)
 class WithSettings(Options):
     """Options of all commands that take the fields of the configuration."""
 
     takes_fields: ClassVar[bool] = True
 
-    config: Annotated[Path | None, arg("FILE")] = None
+    config: Annotated[Path | None, Arg("FILE")] = None
     """TOML file of settings, which override the preset. It may be partial; that of a run folder repeats the run."""
-    settings: Config = field(default_factory=Config)
+    parts: Annotated[Path | None, Arg("DIR")] = None
+    """Folder to search for parts of your own, also for those that only a file names. A part is code that is run."""
+    settings: Config = Config()
+
+    @classmethod
+    def start(cls, given: Table) -> str | Config:
+        """The preset or the complete configuration that file and flags change, from a command's own options."""
+        return cls.base
 
 
-@dataclass(frozen=True)
 class OfScene(WithSettings):
     """Options of the commands that simulate a robot."""
 
-    scene: Annotated[str | None, positional("[SCENE]")] = None
+    scene: Annotated[str | None, Arg("[SCENE]", is_positional=True)] = None
     """Shipped scene, or a .toml, map_server .yaml, .scn file."""
 
-    def settings_of_scene(self, flags: Table) -> Config:
-        """The configuration with the scene; InputError for two scenes, and for one that does not exist."""
-        if self.scene is not None and "scene" in flags:
-            raise InputError("scene", f"found beside {self.scene!r}", "one scene")
-        config = self.settings if self.scene is None else dataclasses.replace(self.settings, scene=self.scene)
+    def settings_of_scene(self) -> Config:
+        """The configuration with the scene; InputError for one that does not exist."""
+        config = self.settings if self.scene is None else self.settings.replaced(scene=self.scene)
         scene_file(config.scene)
         return config
 
 
-@dataclass(frozen=True)
 class Common(WithSettings):
     """Options of all commands that write a run folder."""
 
-    out: Annotated[Path | None, arg("DIR")] = None
+    out: Annotated[Path | None, Arg("DIR")] = None
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
-    view: Annotated[str | None, arg("[WHERE]"), OptionalValue("window", is_view_target, VIEW_TARGETS)] = None
+    view: Annotated[str | None, Arg("[WHERE]", without="window")] = None
     """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install -e '.[view]'."""
     verbose: bool = False
     """Print all metrics at the end."""
@@ -88,15 +77,14 @@ class Common(WithSettings):
     """End with exit code 3 if the map is doubtful, with 4 if it is broken."""
 
 
-@dataclass(frozen=True)
 class WithPriorMap(Common):
     """Options of the commands that can begin with the map of an earlier run."""
 
-    prior_map: Annotated[Path | None, arg("DIR")] = None
+    prior_map: Annotated[Path | None, Arg("DIR")] = None
     """Earlier run whose map this one begins with. The folder of a run in the same building."""
-    pose: Annotated[tuple[float, float, float] | None, arg("X Y THETA")] = None
+    pose: Annotated[tuple[float, float, float] | None, Arg("X Y THETA")] = None
     """With --prior-map: start in its frame, m and rad. By default the start of the scene or log."""
-    pose_sigma: Annotated[tuple[float, float, float] | None, arg("SX SY ST")] = None
+    pose_sigma: Annotated[tuple[float, float, float] | None, Arg("SX SY ST")] = None
     """With --prior-map: sigmas of that pose, m and rad. 0 by default: known exactly."""
     lost: bool = False
     """With --prior-map: the robot does not know where it is. It drives until it has found out."""
@@ -111,37 +99,39 @@ class WithPriorMap(Common):
         return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost)
 
 
-def parse_command(
-    command: type[C], args: list[str], base: Callable[[Any], str | Config] | None = None
-) -> tuple[C, Table]:
-    """Parse a command's options, and the table of the Config fields that were set by flags.
+def read_command(command: type[Options], parser: Parser, words: Sequence[str]) -> tuple[Options, Table]:
+    """Parse a command's words into its options, and the table of the Config fields that were set by flags.
 
-    `base` is a function of the positional value that returns the default preset or a complete configuration; without
-    one it is the command's preset. Precedence is defaults < preset < configuration file < flags; a file that names a
-    preset is read over that. Raises InputError for two presets, and one that names the flag, or the file and
-    its field.
+    Precedence is defaults < preset < configuration file < flags; a file that names a preset is read over that. A part
+    that a flag names may lie in the working folder. Raises InputError for two presets, and one that names the flag, or
+    the file and its field.
     """
-    given, table = parse(args, command)
-    settings = _settings(command, given, table, base)
-    if any(map(is_of_part, args)):
-        given, table = parse(args, command, of_parts(settings))
-        settings = _settings(command, given, table, base)
-    return command(**given, settings=settings), table
+    given, flags = parse(parser, words)
+    import_named({**flags, **given}, given.get("parts"))
+    if not issubclass(command, WithSettings):
+        return command(**given), flags
+    command(**given)  # its own options are checked before files are read
+    settings = _settings(command, given, flags)
+    if "parts" in given:
+        import_named(dict(settings), given["parts"])
+    return command(**given, settings=with_checked_parts(settings)), flags
 
 
-def _settings(command: type[C], given: Table, table: Table, base: Callable[[Any], str | Config] | None) -> Config:
+def _settings(command: type[WithSettings], given: Table, flags: Table) -> Config:
     """The configuration from preset, file and flags."""
-    argument = next((option.name for option in options_of(command) if option.is_positional), "")
-    start = command.base if base is None else base(given.get(argument))
-    settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
+    start = command.start(given)
+    settings = start if isinstance(start, Config) and "preset" not in flags else preset(flags.get("preset", start))
     if "config" in given:
         named = read_table(given["config"]).get("preset")
-        if named is not None and table.get("preset", named) != named:
-            found = f"found {shown(table['preset'])} with {given['config']}, which names {shown(named)}"
+        if named is not None and flags.get("preset", named) != named:
+            found = f"found {shown(flags['preset'])} with {given['config']}, which names {shown(named)}"
             raise InputError("preset", found, "one of the two")
         settings = load_config(given["config"], settings if named is None else None)
-    flags = {name: value for name, value in table.items() if name != "preset"}
-    return merge(settings, flags)
+    flags = {name: value for name, value in flags.items() if name != "preset"}
+    merged = merge(settings, flags)
+    for note in implied(settings, flags, merged):
+        announce(f"note: {note}")
+    return merged
 
 
 def run_folder(
@@ -181,6 +171,8 @@ def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
     if options.view is None:
         yield ()
         return
+    if not is_view_target(options.view):
+        raise InputError("view", f"found {shown(options.view)}", VIEW_TARGETS)
     from sixthsense.view.recording import View
 
     with View(options.view) as view:

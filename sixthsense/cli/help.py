@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import argparse
 import inspect
 import re
 import textwrap
@@ -10,99 +10,78 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
-from sixthsense.cli.options import Option, Options, options_of
-from sixthsense.config import preset
+from sixthsense.cli.options import Option, Options
 from sixthsense.config.errors import InputError, nearest
-from sixthsense.config.section import shown
+from sixthsense.config.section import allowed, shown
 
-EVERYTHING = "all"
-"""the topic that is the complete help"""
-
-_WIDTH = 80
-_TEXT_COLUMN = 26
+_WIDTH, _TEXT_COLUMN = 80, 26
 
 
-def help_topic(args: Sequence[str]) -> str | None:
-    """What help is asked for: "" for the short one, a section or field, "all"; None if it is not asked for."""
-    for word, following in zip(args, [*args[1:], ""], strict=False):
-        if word in ("-h", "--help"):
-            return "" if following.startswith("-") else following
-        if word.startswith("--help="):
-            return word.removeprefix("--help=")
-    return None
+class Help(argparse.Action):
+    """`--help [TOPIC]`: print the help of a command on a topic, and end."""
+
+    command: type[Options]
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, topic: Any, flag: str | None = None) -> None:
+        """Print the short help, that of a section or an option, or for `all` the complete one."""
+        print("\n".join(_lines(parser, self.command, topic or "")).rstrip())
+        raise SystemExit(0)
 
 
-def help_text(name: str, command: type[Options], topic: str = "") -> str:
-    """The help of a command on a topic, at most 80 columns wide; InputError for an unknown topic."""
-    known = [option for option in options_of(command, preset(command.base)) if _root(option) not in command.refused]
-    own = sorted((option for option in known if option.owner is command), key=lambda option: not option.is_positional)
-    words = [f"usage: sixthsense {name}", *(usage(option) for option in own if option.is_positional)]
-    words += ["[options]"] if any(not option.is_positional for option in own) else []
-    head = [" ".join(words), ""]
-    for paragraph in (inspect.getdoc(command) or "").split("\n\n"):
-        head += [*_wrapped(paragraph), ""]
-    if "settings" not in {field.name for field in dataclasses.fields(command)}:
-        return "\n".join([*head, *_rows(own)]).rstrip()
-    taken = {option.name for option in own}
-    fields = [option for option in known if option.owner is not command and option.name not in taken]
-    sections = {path: list(found) for path, found in groupby(fields, lambda option: option.name.rpartition(".")[0])}
-    top = sections.pop("")
-    if topic in ("", EVERYTHING):
-        is_brief = not topic
-        lines = [*head, "options:", *_rows(own, is_brief), "", "settings:", *_rows(top, is_brief)]
-        return "\n".join([*lines, *(_section_list(sections) if is_brief else _pages(sections))])
+def brief(text: str | None) -> str:
+    """The first sentence of a text, without the full stop."""
+    return re.split(r"(?<=\.) ", " ".join((text or "").split()))[0].removesuffix(".")
+
+
+def _lines(parser: argparse.ArgumentParser, command: type[Options], topic: str) -> Iterator[str]:
+    """The lines of a help, at most 80 columns wide; InputError for an unknown topic."""
+    known = [option for option in parser._actions if isinstance(option, Option)]
+    known = [option for option in known if option.dest.partition(".")[0] not in command.refused]
+    own = sorted((o for o in known if issubclass(o.owner, Options)), key=lambda option: bool(option.option_strings))
+    fields = groupby((o for o in known if not issubclass(o.owner, Options)), lambda o: o.dest.rpartition(".")[0])
+    sections = {path: list(options) for path, options in fields} if "settings" in command.model_fields else {}
     wanted = topic.removeprefix("--").replace("-", "_")
-    pages = {path: found for path, found in sections.items() if f"{path}.".startswith(f"{wanted}.")}
-    if pages:
-        return "\n".join(_pages(pages)).strip()
-    found = [option for option in known if wanted in (option.name, option.name.rpartition(".")[2])]
-    if not found:
-        names = [path for path in sections if "." not in path]
-        near = nearest(wanted, [*names, EVERYTHING, *(option.name for option in known)])
-        raise InputError("help", f"found {shown(topic)}", ", ".join([*names, EVERYTHING]) + ", or an option", near)
-    return "\n".join(_rows(found))
-
-
-def usage(option: Option) -> str:
-    """Flag and value of an option."""
-    return option.metavar if option.is_positional else f"{option.flag} {option.metavar}".rstrip()
-
-
-def brief(option: Option) -> str:
-    """The first sentence of an option's text, without the full stop."""
-    return re.split(r"(?<=\.) ", option.text)[0].removesuffix(".")
-
-
-def default_text(value: Any) -> str:
-    """The default of an option, empty if that is none or false."""
-    if value is None or value is False:
-        return ""
-    if isinstance(value, tuple):
-        return " ".join(map(default_text, value))
-    return f"{value:.4g}" if isinstance(value, float) else "true" if value is True else str(value)
-
-
-def _root(option: Option) -> str:
-    return option.name.partition(".")[0]
+    if topic in ("", "all"):
+        words = [parser.prog, *(o.usage for o in own if not o.option_strings)]
+        yield from (f"usage: {' '.join(words)}{' [options]' if own and own[-1].option_strings else ''}", "")
+        for paragraph in (inspect.getdoc(command) or "").split("\n\n"):
+            yield from (*_wrapped(paragraph), "")
+        is_brief = not topic and bool(sections)
+        yield from ("options:", *_rows(own, is_brief)) if sections else _rows(own)
+        yield from ("", "settings:", *_rows(sections.pop(""), is_brief)) if sections else ()
+        yield from _titles(sections) if is_brief else _pages(sections)
+    elif pages := {path: page for path, page in sections.items() if f"{path}.".startswith(f"{wanted}.")}:
+        yield from list(_pages(pages))[1:]
+    elif found := [option for option in known if wanted in (option.dest, option.dest.rpartition(".")[2])]:
+        yield from _rows(found)
+    else:
+        names = [*(path for path in sections if path and "." not in path), "all"]
+        near = nearest(wanted, [*names, *(option.dest for option in known)])
+        raise InputError("help", f"found {shown(topic)}", f"{', '.join(names)}, or an option", near)
 
 
 def _rows(options: Sequence[Option], is_brief: bool = False) -> Iterator[str]:
     """The lines of options; in brief the first sentence and the default, else the whole text and the allowed values."""
     for option in options:
-        default = default_text(option.default)
+        default = _default(option.value)
         notes = [f"default {default}" if default not in ("", "default") else ""]
-        if not is_brief:
-            notes.append(f"allowed: {option.allowed}" if option.allowed else "")
-        text, note = brief(option) if is_brief else option.text, "; ".join(filter(None, notes))
-        yield from _columns(usage(option), f"{text} ({note})" if note else text)
+        bounds = "" if is_brief or "numbers" in (text := allowed(option.field)) or text == "a list" else text
+        note = "; ".join(filter(None, [*notes, f"allowed: {bounds}" if bounds else ""]))
+        text = brief(option.field.description) if is_brief else option.field.description or ""
+        left, text = f"  {option.usage}", f"{text} ({note})" if note else text
+        if len(left) >= _TEXT_COLUMN:
+            yield from (left, *_wrapped(text, " " * _TEXT_COLUMN))
+        else:
+            yield from _wrapped(text, " " * _TEXT_COLUMN, left.ljust(_TEXT_COLUMN)) or [left]
 
 
-def _columns(left: str, text: str) -> list[str]:
-    left = f"  {left}"
-    indent = " " * _TEXT_COLUMN
-    if len(left) >= _TEXT_COLUMN:
-        return [left, *_wrapped(text, indent)]
-    return _wrapped(text, indent, left.ljust(_TEXT_COLUMN)) or [left]
+def _default(value: Any) -> str:
+    """The default of an option, empty if that is none or false."""
+    if value is None or value is False:
+        return ""
+    if isinstance(value, tuple):
+        return " ".join(map(_default, value))
+    return f"{value:.4g}" if isinstance(value, float) else "true" if value is True else str(value)
 
 
 def _wrapped(text: str, indent: str = "", first: str | None = None) -> list[str]:
@@ -111,16 +90,15 @@ def _wrapped(text: str, indent: str = "", first: str | None = None) -> list[str]
     return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=indent, break_on_hyphens=False)
 
 
-def _section_list(sections: dict[str, list[Option]]) -> Iterator[str]:
+def _titles(sections: dict[str, list[Option]]) -> Iterator[str]:
     """The sections of the configuration, a line each."""
     yield from ("", "sections of further settings:")
     for path, (option, *_) in sections.items():
         if "." not in path:
-            text = " ".join((inspect.getdoc(option.owner) or "").split())
-            title = re.split(r"[.:;] ", re.sub(r" \(.*\)", "", text))[0].removesuffix(".")
-            line = f"  {path}".ljust(_TEXT_COLUMN) + title
+            text = re.sub(r" \(.*\)", "", " ".join((inspect.getdoc(option.owner) or "").split()))
+            line = f"  {path}".ljust(_TEXT_COLUMN) + re.split(r"[.:;] ", text)[0].removesuffix(".")
             yield line if len(line) <= _WIDTH else line[: _WIDTH - 4].rpartition(" ")[0] + " ..."
-    yield from ("", f"`--help SECTION` lists a section's settings, `--help {EVERYTHING}` lists everything.")
+    yield from ("", "`--help SECTION` lists a section's settings, `--help all` lists everything.")
 
 
 def _pages(sections: dict[str, list[Option]]) -> Iterator[str]:

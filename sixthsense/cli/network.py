@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+from pydantic import Field
+
 from sixthsense.cli import EXIT_CODES, FAILED
-from sixthsense.cli.common import OfScene, WithPriorMap, announce, live_view, parse_command, run_folder, show_end
-from sixthsense.cli.options import Options, arg
-from sixthsense.config import Config, Range, merge, preset
+from sixthsense.cli.common import OfScene, WithPriorMap, announce, live_view, run_folder, show_end
+from sixthsense.cli.options import Arg, Options, Table
+from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment, is_configured_by_user
 
 
-@dataclass(frozen=True)
 class OnNetwork(Options):
     """Options of the commands that join a ROS 2 network."""
 
-    domain: Annotated[int | None, arg("N")] = None
+    domain: Annotated[int | None, Arg("N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
-    interface: Annotated[str | None, arg("NAME[,..]")] = None
+    interface: Annotated[str | None, Arg("NAME[,..]")] = None
     """Interfaces, or their addresses, to join. By default that of this machine alone."""
-    peers: Annotated[str | None, arg("ADDRESS[,..]")] = None
+    peers: Annotated[str | None, Arg("ADDRESS[,..]")] = None
     """Hosts of the robot, for networks without multicast."""
 
     def network(self) -> Network:
@@ -40,35 +40,40 @@ class OnNetwork(Options):
         return network
 
 
-@dataclass(frozen=True)
 class Live(OnNetwork, WithPriorMap):
     """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
 
     base: ClassVar[str] = "log"
     refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map_unknown", "world", "lost")
 
-    scan: Annotated[str, arg("TOPIC")] = "/scan"
+    scan: Annotated[str, Arg("TOPIC")] = "/scan"
     """Topic of the laser. Messages sensor_msgs/LaserScan."""
-    odom: Annotated[str, arg("TOPIC")] = "/odom"
+    odom: Annotated[str, Arg("TOPIC")] = "/odom"
     """Topic of the wheels' odometry. Messages nav_msgs/Odometry."""
-    odometry_frames: Annotated[str | None, arg("P,C")] = None
+    odometry_frames: Annotated[str | None, Arg("P,C")] = None
     """Take odometry from /tf, such as odom,base_link. Its publisher sends the transform between the two."""
     drive: bool = False
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
-    cmd_vel: Annotated[str, arg("TOPIC")] = "/cmd_vel"
+    cmd_vel: Annotated[str, Arg("TOPIC")] = "/cmd_vel"
     """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
-    transform_timeout: Annotated[float, Range(0.0, 10.0), arg("S")] = 0.2
+    transform_timeout: Annotated[float, Field(ge=0.0, le=10.0), Arg("S")] = 0.2
     """Date the transform of the map in /tf so many seconds later than its scan."""
 
     @classmethod
-    def main(cls, args: list[str]) -> int:
+    def start(cls, given: Table) -> str | Config:
+        """The preset of real robots; with landmarks in a filter where the robot is driven, which answers sooner.
+
+        The final pass would keep every scan in memory until the end.
+        """
+        driven = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
+        return merge(preset("log"), {"scans": {"final_pass": False}, **(driven if given.get("drive") else {})})
+
+    def run(self, flags: Table) -> int:
         """Run SLAM on a robot."""
-        drives = any(word.partition("=")[0] == "--drive" for word in args)
-        options, flags = parse_command(Live, args, lambda _: _base(drives))
         for name in Live.refused:
-            if name in flags or (name == "lost" and options.lost):
+            if name in flags or (name == "lost" and self.lost):
                 raise InputError(name, "found on a robot", "with run")
-        network = options.network()
+        network = self.network()
         from sixthsense.api import with_task
         from sixthsense.live.session import Session, Topics, check_drive
         from sixthsense.logs.replay_input import WITHOUT_ODOMETRY
@@ -76,10 +81,10 @@ class Live(OnNetwork, WithPriorMap):
         from sixthsense.running.runs import RunHooks, run_live
         from sixthsense.running.warmup import prepare
 
-        frames = frame_pair(options.odometry_frames.split(",") if options.odometry_frames else ())
-        topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
-        config = with_task(options.settings, flags)
-        if options.drive:
+        frames = frame_pair(self.odometry_frames.split(",") if self.odometry_frames else ())
+        topics = Topics(self.scan, self.odom, self.cmd_vel, frames).checked()
+        config = with_task(self.settings, flags)
+        if self.drive:
             if config.no_odometry:
                 raise InputError("no_odometry", "found with `drive`", "without it")
             check_drive(config)
@@ -88,49 +93,37 @@ class Live(OnNetwork, WithPriorMap):
         for name in flags.get("laser", {}):
             if name not in ("mount", "max_range", "mirrored"):
                 raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
-        prior = options.prior_start()
-        prepare(announce, config, of_log=not options.drive)
-        ahead_s = options.transform_timeout
-        with Session(network, topics, config, announce, ahead_s) as session, live_view(options) as hooks:
-            session.configure(options.drive)
+        prior = self.prior_start()
+        prepare(announce, config, of_log=not self.drive)
+        ahead_s = self.transform_timeout
+        with Session(network, topics, config, announce, ahead_s) as session, live_view(self) as hooks:
+            session.configure(self.drive)
             config = session.config
             source = {"scan": topics.scan, "odom": topics.odom}
             if frames is not None:
                 source["odometry_frames"] = ",".join(frames)
-            with run_folder(options, config, f"live-{config.estimator}", source, prior) as folder:
-                run = run_live(session, options.drive, folder, RunHooks(hooks, say=announce), prior)
+            with run_folder(self, config, f"live-{config.estimator}", source, prior) as folder:
+                run = run_live(session, self.drive, folder, RunHooks(hooks, say=announce), prior)
                 for line in session.notices.summary():
                     announce(line)
-                return show_end(run, options)
+                return show_end(run, self)
 
 
-def _base(drive: bool) -> Config:
-    """The preset of real robots; with landmarks in a filter where the robot is driven, which answers sooner.
-
-    The final pass would keep every scan in memory until the end.
-    """
-    driven = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
-    return merge(preset("log"), {"scans": {"final_pass": False}, **(driven if drive else {})})
-
-
-@dataclass(frozen=True)
 class Simulate(OnNetwork, OfScene):
     """Simulate a robot on a ROS 2 network, in real time: it sends /scan and /odom, and is driven by /cmd_vel.
 
     With --task, --goal or --tour it drives by itself, and ignores commands.
     """
 
-    timeout: Annotated[float, Range(0.0, 60.0), arg("S")] = 0.3
+    timeout: Annotated[float, Field(ge=0.0, le=60.0), Arg("S")] = 0.3
     """A command moves the robot for at most this long, s."""
-    truth: Annotated[Path | None, arg("FILE")] = None
+    truth: Annotated[Path | None, Arg("FILE")] = None
     """Write the true trajectory. TUM format, with the stamps of the messages."""
 
-    @classmethod
-    def main(cls, args: list[str]) -> int:
+    def run(self, flags: Table) -> int:
         """Simulate a robot."""
-        options, flags = parse_command(Simulate, args)
-        config = options.settings_of_scene(flags)
-        network = options.network()
+        config = self.settings_of_scene()
+        network = self.network()
         from sixthsense.api import with_task
         from sixthsense.live.reading import TWIST
         from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
@@ -142,12 +135,12 @@ class Simulate(OnNetwork, OfScene):
         config, task = mission_of(with_task(config, flags))
         with SimulatedRobot(network, config, None if drives_itself else TWIST) as robot:
             prepare(announce)
-            robot.begin(options.truth)
+            robot.begin(self.truth)
             announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
             if drives_itself:
                 outcome = simulate(config, task, None, RunHooks((robot.on_tick,), False, realtime=True)).outcome
             else:
-                outcome = drive_by_commands(robot, config, task, options.timeout)
+                outcome = drive_by_commands(robot, config, task, self.timeout)
         print(f"collisions: {int(outcome == 'collided')}")
         print(robot.summary())
         return EXIT_CODES.get(outcome, FAILED)

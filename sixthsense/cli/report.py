@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from sixthsense.cli import DONE
 from sixthsense.cli.common import announce, numbered
-from sixthsense.cli.options import OptionalValue, Options, arg, parse, positional
+from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import checked
 
@@ -20,12 +19,6 @@ if TYPE_CHECKING:
 _FILM = "animation.gif"
 
 
-def _is_film(argument: str) -> bool:
-    """Whether an argument after `--animate` is its value and not the folder of a run."""
-    return bool(Path(argument).suffix) and not Path(argument).is_dir()
-
-
-@dataclass(frozen=True)
 class Report(Options):
     """Draw the figures of finished or killed runs, and write report.html.
 
@@ -37,31 +30,26 @@ class Report(Options):
     NEES.
     """
 
-    run: Annotated[tuple[str, ...], positional("RUN_DIR ...")] = ()
+    folders: Annotated[tuple[str, ...], Arg("RUN_DIR ...", is_positional=True)] = ()
     """Folder of a run, or of a campaign."""
-    out: Annotated[Path | None, arg("DIR")] = None
+    out: Annotated[Path | None, Arg("DIR")] = None
     """Folder to write; for several runs by default a new one under runs/."""
     overwrite: bool = False
     """Write into DIR if it exists."""
-    figures: Annotated[str, arg("FORM")] = "png"
+    figures: Annotated[str, Arg("FORM")] = "png"
     """svg or pdf: each figure as vector graphics, too; png: bitmaps only."""
-    animate: Annotated[str | None, arg("[FILE]"), OptionalValue(None, _is_film, "FILE.mp4, FILE.webp or FILE.gif")] = (
-        None
-    )
+    animate: Annotated[str | None, Arg("[FILE]", without=_FILM)] = None
     """Film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif beside the figures."""
 
-    prior_map: Annotated[Path | None, arg("DIR")] = None
+    prior_map: Annotated[Path | None, Arg("DIR")] = None
     """With --animate: folder of the prior map, for a run that began with one."""
 
-    @classmethod
-    def main(cls, args: list[str]) -> int:
+    def run(self, flags: Table) -> int:
         """Draw the figures of runs."""
-        given, _ = parse(args, Report)
-        options = Report(**given)
-        folders, out = options.run, options.out
+        folders, out = self.folders, self.out
         if not folders:
-            raise InputError("run", "found nothing", "folders of runs, or of a campaign")
-        if out is not None and out.exists() and not options.overwrite:
+            raise InputError("folders", "found nothing", "folders of runs, or of a campaign")
+        if out is not None and out.exists() and not self.overwrite:
             raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
         from sixthsense.evaluation.measured_run import check_folders
         from sixthsense.figures.animation import check_film, film_prior
@@ -70,18 +58,18 @@ class Report(Options):
         from sixthsense.figures.report import report
         from sixthsense.figures.run import load
 
-        form: Form = checked("figures", Form, options.figures)
+        form: Form = checked("figures", Form, self.figures)
         if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
-            return _report_campaign(options, "animate" in given, form)
-        if "animate" in given:
-            check_film(_FILM if options.animate is None else options.animate)
+            return _report_campaign(self, form)
+        if self.animate is not None:
+            check_film(self.animate)
             if len(folders) > 1:
                 raise InputError("animate", f"found {len(folders)} runs", "one run")
         check_folders(folders, "the folder of a run or of a campaign")
         runs = [load(folder) for folder in folders]
-        if "animate" not in given and options.prior_map is not None:
+        if self.animate is None and self.prior_map is not None:
             raise InputError("prior_map", "found without `animate`", "with it")
-        prior = film_prior(runs[0].trace, options.prior_map) if "animate" in given else None
+        prior = film_prior(runs[0].trace, self.prior_map) if self.animate is not None else None
         if out is None:
             out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
         files = report(runs, out, form)
@@ -90,19 +78,19 @@ class Report(Options):
             for part in run.missing:
                 announce(f"note: {run.folder}: found no record of {part}")
         print(f"written to {out}/: {', '.join(file.name for file in files)}")
-        if "animate" in given:
-            file = out / _FILM if options.animate is None else Path(options.animate)
+        if self.animate is not None:
+            file = out / _FILM if self.animate == _FILM else Path(self.animate)
             _animate(runs[0], folders[0], file, prior)
             print(f"written: {file}")
         return DONE
 
 
-def _report_campaign(options: Report, is_animated: bool, form: Form) -> int:
+def _report_campaign(options: Report, form: Form) -> int:
     """Draw the figures of one campaign."""
-    folder, *others = options.run
+    folder, *others = options.folders
     if others:
-        raise InputError("run", f"found a campaign among {1 + len(others)} folders", "one campaign alone, or runs")
-    if is_animated:
+        raise InputError("folders", f"found a campaign among {1 + len(others)} folders", "one campaign alone, or runs")
+    if options.animate is not None:
         raise InputError("animate", "found with a campaign", "with one run")
     from sixthsense.campaigns import load_campaign
     from sixthsense.campaigns.report import report_campaign

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from pydantic import Field
 
 from sixthsense.cli.common import (
     Common,
@@ -12,12 +13,11 @@ from sixthsense.cli.common import (
     WithPriorMap,
     announce,
     live_view,
-    parse_command,
     run_folder,
     show_end,
 )
-from sixthsense.cli.options import arg, positional
-from sixthsense.config import Config, Range, is_of_replay
+from sixthsense.cli.options import Arg, Table
+from sixthsense.config import Config, is_of_replay
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import OF_THE_ROBOT
 
@@ -26,37 +26,33 @@ if TYPE_CHECKING:
     from sixthsense.figures.run import Run as FinishedRun
 
 
-@dataclass(frozen=True)
 class Run(WithPriorMap, OfScene):
     """Simulate a robot in a scene unknown to it: it explores the scene, or drives to goals."""
 
     realtime: bool = False
     """Slow the simulation down to real time."""
 
-    @classmethod
-    def main(cls, args: list[str]) -> int:
+    def run(self, flags: Table) -> int:
         """Simulate a scene."""
-        options, flags = parse_command(Run, args)
-        if options.config is not None and is_of_replay(options.config):
-            raise InputError("config", f"{options.config} is of a replay", "sixthsense replay LOG `config` FILE")
-        config = options.settings_of_scene(flags)
+        if self.config is not None and is_of_replay(self.config):
+            raise InputError("config", f"{self.config} is of a replay", "sixthsense replay LOG `config` FILE")
+        config = self.settings_of_scene()
         from sixthsense.api import with_task
         from sixthsense.running.runs import RunHooks, simulate
         from sixthsense.simulation.mission import mission_of
 
-        prior = options.prior_start()
+        prior = self.prior_start()
         config, task = mission_of(with_task(config, flags))
         for note in task.scene.notes:
             announce(f"note: {task.scene.name}: {note}")
         with (
-            run_folder(options, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
-            live_view(options) as hooks,
+            run_folder(self, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
+            live_view(self) as hooks,
         ):
-            watch = RunHooks(hooks, realtime=options.realtime, say=announce)
-            return show_end(simulate(config, task, folder, watch, prior), options)
+            watch = RunHooks(hooks, realtime=self.realtime, say=announce)
+            return show_end(simulate(config, task, folder, watch, prior), self)
 
 
-@dataclass(frozen=True)
 class Replay(WithPriorMap):
     """Process a recorded log.
 
@@ -67,54 +63,59 @@ class Replay(WithPriorMap):
     base: ClassVar[str] = "log"
     refused: ClassVar[tuple[str, ...]] = OF_THE_ROBOT
 
-    log: Annotated[str | None, positional("LOG")] = None
+    log: Annotated[str | None, Arg("LOG", is_positional=True)] = None
     """The log."""
-    relations: Annotated[Path | None, arg("FILE")] = None
+    relations: Annotated[Path | None, Arg("FILE")] = None
     """Hand-checked relations between poses, to measure errors. They are those of Kuemmerle et al. 2009."""
-    topics: Annotated[str | None, arg("NAME[,NAME]")] = None
+    topics: Annotated[str | None, Arg("NAME[,NAME]")] = None
     """Topics to use from a bag with several topics of scans or odometry."""
-    odometry_frames: Annotated[str | None, arg("P,C")] = None
+    odometry_frames: Annotated[str | None, Arg("P,C")] = None
     """Frames of odometry in /tf, such as odom,base_link. Without a topic of odometry they are found."""
-    units: Annotated[str | None, arg("WHAT=UNIT")] = None
+    units: Annotated[str | None, Arg("WHAT=UNIT")] = None
     """Units of a log without metres and radians: ranges=mm,odometry=cm,angles=degrees,headings=degrees."""
-    robot: Annotated[int | None, arg("N")] = None
+    robot: Annotated[int | None, Arg("N")] = None
     """Robot to use from an MRCLAM folder with several."""
-    truth: Annotated[Path | None, arg("FILE")] = None
+    truth: Annotated[Path | None, Arg("FILE")] = None
     """True poses, a bag, TUM file or folder of a run: the run is audited by them, ATE, RPE and NEES, aligned by all."""
     truth_topic: str = ""
     """Topic of the truth in a bag: one of poses, or /tf."""
-    truth_frames: Annotated[tuple[str, str] | None, arg("PARENT CHILD")] = None
+    truth_frames: Annotated[tuple[str, str] | None, Arg("PARENT CHILD")] = None
     """Of the truth in /tf."""
-    truth_offset: Annotated[Annotated[float, Range(0.0, open_low=True)] | None, arg("S")] = None
+    truth_offset: Annotated[float | None, Field(gt=0.0), Arg("S")] = None
     """Search an offset of the truth's clock up to S seconds."""
 
     @classmethod
-    def main(cls, args: list[str]) -> int:
-        """Replay a log."""
-        from sixthsense.logs.replay_input import LogSelection, base_of, check_options, check_out, open_recorded
+    def start(cls, given: Table) -> str | Config:
+        """The preset of the log's kind, or the configuration of a recorded run."""
+        from sixthsense.logs.replay_input import base_of
 
-        options, flags = parse_command(Replay, args, base_of)
-        given = options.topics, options.odometry_frames, options.units
+        return base_of(given.get("log"))
+
+    def run(self, flags: Table) -> int:
+        """Replay a log."""
+        from sixthsense.logs.replay_input import LogSelection, check_options, check_out, open_recorded
+
+        given = self.topics, self.odometry_frames, self.units
         topics, frames, units = (tuple(words.split(",")) if words else () for words in given)
-        chosen = LogSelection(topics, options.robot, frames, units)
-        check_options(options.log, flags, chosen)
-        if options.log is None:
+        chosen = LogSelection(topics, self.robot, frames, units)
+        check_options(self.log, flags, chosen)
+        if self.log is None:
             raise InputError(
                 "log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
             )
-        check_out(options.log, options.out)
+        check_out(self.log, self.out)
         from sixthsense.figures.plot import save
         from sixthsense.running.runs import RunHooks, replay_log
 
-        options.check_truth()
-        prior = options.prior_start()
-        found = open_recorded(options.log, options.settings, options.relations, chosen)
+        self.check_truth()
+        prior = self.prior_start()
+        found = open_recorded(self.log, self.settings, self.relations, chosen)
         for note in found.notes:
             announce(f"note: {found.name}: {note}")
         stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
-        with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
+        with run_folder(self, found.config, stem, found.files, prior) as folder, live_view(self) as hooks:
             audits: list[Audit | InputError] = []
-            judge = None if options.truth is None else lambda run: audits.append(options.audit(run))
+            judge = None if self.truth is None else lambda run: audits.append(self.audit(run))
             run = replay_log(found, folder, RunHooks(hooks, say=announce, at_end=judge), prior)
             for audit in audits:
                 if isinstance(audit, InputError):
@@ -122,7 +123,7 @@ class Replay(WithPriorMap):
                 print(f"{audit}\n")
                 if run.folder is not None:
                     save(audit.plot(), run.folder / "figures" / "audit.png")
-            return show_end(run, options)
+            return show_end(run, self)
 
     def check_truth(self) -> None:
         """Read the truth that the run is audited by: what is wrong with it is told before the replay."""
@@ -157,7 +158,6 @@ class Replay(WithPriorMap):
         }  # fmt: skip
 
 
-@dataclass(frozen=True)
 class Merge(Common):
     """Map two runs in one building together: scans of both are aligned, in the frame of the first.
 
@@ -167,43 +167,42 @@ class Merge(Common):
     base: ClassVar[str] = "log"
     refused: ClassVar[tuple[str, ...]] = OF_THE_ROBOT
 
-    runs: Annotated[tuple[str, ...], positional("RUN_A RUN_B")] = ()
+    runs: Annotated[tuple[str, ...], Arg("RUN_A RUN_B", is_positional=True)] = ()
     """The folders of the two runs."""
-    relations: Annotated[Path | None, arg("FILE")] = None
+    relations: Annotated[Path | None, Arg("FILE")] = None
     """Hand-checked relations between poses, the reference of the trajectory's error."""
     force: bool = False
     """Merge runs that contradict each other, too."""
 
     @classmethod
-    def main(cls, args: list[str]) -> int:
+    def start(cls, given: Table) -> str | Config:
+        """The configuration of the first run; InputError for other than two, and for what is no folder of a run."""
+        from sixthsense.config.files import instead_of
+        from sixthsense.logs import is_run_folder
+        from sixthsense.logs.replay_input import base_of
+
+        runs = given.get("runs", ())
+        if len(runs) != 2:
+            raise InputError("runs", f"found {' '.join(runs) or 'nothing'}", "the folders of two runs")
+        for run in runs:
+            if not is_run_folder(Path(run)):
+                raise InputError(run, f"found {instead_of(Path(run), 'config.toml')}", "the folder of a run")
+        return base_of(runs[0])
+
+    def run(self, flags: Table) -> int:
         """Merge two runs."""
         from sixthsense.logs.replay_input import LogSelection, check_options, check_out
 
-        options, flags = parse_command(Merge, args, _base)
-        first, second = options.runs
+        first, second = self.runs
         check_options(first, flags, LogSelection())
-        for run in options.runs:
-            check_out(run, options.out)
+        for run in self.runs:
+            check_out(run, self.out)
         from sixthsense.running.merging import open_merged, replay_merged
         from sixthsense.running.runs import RunHooks
 
         announce(f"looking for {second} in the map of {first}")
-        merged = open_merged(Path(first), Path(second), options.settings, options.relations, options.force)
+        merged = open_merged(Path(first), Path(second), self.settings, self.relations, self.force)
         for note in merged.notes:
             announce(f"note: {note}")
-        with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
-            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce), options.force), options)
-
-
-def _base(runs: tuple[str, ...] | None) -> str | Config:
-    """The configuration of the first run; InputError for other than two, and for what is no folder of a run."""
-    from sixthsense.config.files import instead_of
-    from sixthsense.logs import is_run_folder
-    from sixthsense.logs.replay_input import base_of
-
-    if runs is None or len(runs) != 2:
-        raise InputError("runs", f"found {' '.join(runs or ()) or 'nothing'}", "the folders of two runs")
-    for run in runs:
-        if not is_run_folder(Path(run)):
-            raise InputError(run, f"found {instead_of(Path(run), 'config.toml')}", "the folder of a run")
-    return base_of(runs[0])
+        with run_folder(self, merged.config, merged.name, merged.files) as folder, live_view(self) as hooks:
+            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce), self.force), self)

@@ -1,65 +1,15 @@
 """The configuration: a tree of frozen, validated sections, its presets, and its files."""
 
-from sixthsense.config.errors import InputError
-from sixthsense.config.files import is_of_replay, load_config, prior_map_of, save_config
-from sixthsense.config.presets import PRESETS, preset
-from sixthsense.config.section import Distribution, Range, Section, as_table, merge
-from sixthsense.config.sections import (
-    AssociationConfig,
-    AssumedConfig,
-    ExploreConfig,
-    FeaturesConfig,
-    FollowConfig,
-    GridConfig,
-    ISAM2Config,
-    KeyframeConfig,
-    LaserConfig,
-    LaserNoise,
-    LinesConfig,
-    MotionNoise,
-    PartitionConfig,
-    PointsConfig,
-    RobotConfig,
-    RRTStarConfig,
-    SafetyConfig,
-    ScansConfig,
-    SplitConfig,
-    WorldConfig,
-)
-from sixthsense.config.tree import Config
-
-__all__ = [
-    "PRESETS",
-    "AssociationConfig",
-    "AssumedConfig",
-    "Config",
-    "Distribution",
-    "ExploreConfig",
-    "FeaturesConfig",
-    "FollowConfig",
-    "GridConfig",
-    "ISAM2Config",
-    "InputError",
-    "KeyframeConfig",
-    "LaserConfig",
-    "LaserNoise",
-    "LinesConfig",
-    "MotionNoise",
-    "PartitionConfig",
-    "PointsConfig",
-    "RRTStarConfig",
-    "Range",
-    "RobotConfig",
-    "SafetyConfig",
-    "ScansConfig",
-    "Section",
-    "SplitConfig",
-    "WorldConfig",
-    "as_table",
-    "is_of_replay",
-    "load_config",
-    "merge",
-    "preset",
-    "prior_map_of",
-    "save_config",
-]
+from sixthsense.config.errors import InputError as InputError
+from sixthsense.config.files import is_of_replay as is_of_replay
+from sixthsense.config.files import load_config as load_config
+from sixthsense.config.files import prior_map_of as prior_map_of
+from sixthsense.config.files import save_config as save_config
+from sixthsense.config.presets import PRESETS as PRESETS
+from sixthsense.config.presets import preset as preset
+from sixthsense.config.section import Distribution as Distribution
+from sixthsense.config.section import Section as Section
+from sixthsense.config.section import as_table as as_table
+from sixthsense.config.section import merge as merge
+from sixthsense.config.sections import *  # noqa: F403
+from sixthsense.config.tree import Config as Config

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from functools import reduce
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from sixthsense.config.errors import InputError, nearest, reason_of
@@ -63,35 +65,62 @@ class Parts:
             raise InputError(self.kind, f"found {path}", "a class or function at the top level of a module")
         return path
 
-    def load(self, name: str) -> Any:
-        """The class or function that a name stands for; InputError for one that is not known or cannot be imported."""
+    def checked(self, part: Any) -> Any:
+        """The name of a part, which may be given as a class or function; InputError for one that cannot be a name."""
+        found = self.name_of(part)
+        if found not in self:
+            raise InputError("", f"found {found!r:.80}", str(self), nearest(found, self))
+        return found
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """As the annotation of a field: its value is a name of this kind, or a class or function."""
+        from pydantic_core.core_schema import no_info_before_validator_function
+
+        return no_info_before_validator_function(self.checked, handler(source))
+
+    def protocol(self) -> type:
+        """The class that says what a part of this kind has."""
+        found: type = _imported(self.seam)
+        return found
+
+    def load(self, name: str, folder: str | Path | None = None) -> Any:
+        """The class or function that a name stands for; InputError for one that is not known or cannot be imported.
+
+        Its module may lie in `folder`, which is searched last, and for this import alone.
+        """
         path = self.shipped.get(name) or (name if ":" in name else self.installed().get(name))
         if path is None:
             raise InputError(self.kind, f"found {name!r}", str(self), nearest(name, self.shipped))
         try:
-            part = _imported(path)
+            part = _imported(path, folder)
         except Exception as error:  # a module of a user's may raise anything
             reason = f"{type(error).__name__}: {reason_of(error)}"
             found = f"found {name}, which cannot be imported ({reason})"
-            raise InputError(self.kind, found, "a module that Python finds, and a name in it") from error
+            allowed = (
+                f"a name in an installed module, or in a folder that is searched: `{self.kind}` {name}, `parts` DIR"
+            )
+            raise InputError(self.kind, found, allowed) from error
+        if folder is not None:
+            searched[self.kind, name] = str(folder)
         if not callable(part):
             raise InputError(self.kind, f"found {name}, which is a {type(part).__name__}", "a class or function")
         return part
 
 
-class PartOptions(dict[str, Any]):
-    """The options of a part that are stated, by name; what they may be says the part."""
-
-
 def options_class(part: Any) -> type | None:
-    """The dataclass of a part's own options, its attribute `Options`; None of a part without."""
+    """The dataclass or section of a part's own options, its attribute `Options`; None of a part without."""
     found = getattr(part, "Options", None)
-    return found if isinstance(found, type) and dataclasses.is_dataclass(found) else None
+    is_model = dataclasses.is_dataclass(found) or hasattr(found, "model_fields")
+    return found if isinstance(found, type) and is_model else None
 
 
-def _imported(path: str) -> Any:
+def _imported(path: str, folder: str | Path | None = None) -> Any:
     module, _, name = path.partition(":")
-    return reduce(getattr, name.split("."), import_module(module))
+    before, sys.path = sys.path, sys.path if folder is None else [*sys.path, str(folder)]
+    try:
+        return reduce(getattr, name.split("."), import_module(module))
+    finally:
+        sys.path = before
 
 
 _SLAM, _NAVIGATION = "sixthsense.slam", "sixthsense.navigation"
@@ -146,6 +175,30 @@ EXPLORERS = Parts(
 )
 KINDS = (ESTIMATORS, FRONT_ENDS, EXTRACTORS, PLACE_SEARCHES, PLANNERS, EXPLORERS)
 """all kinds of parts, in the order of their use"""
+
+searched: dict[tuple[str, str], str] = {}
+"""folders that were searched for parts, by kind and name: other processes import the same ones by `import_again`"""
+
+
+def import_named(given: Mapping[str, Any], folder: str | Path | None = None) -> None:
+    """Import the parts whose import paths are among the `given` fields of a configuration.
+
+    Their modules may lie in `folder`, by default the working folder: for fields that the user has stated.
+    """
+    for parts in KINDS:
+        names = given.get(parts.kind, ())
+        for name in (names,) if isinstance(names, str) else names if isinstance(names, list | tuple) else ():
+            if isinstance(name, str) and _PATH.fullmatch(name):
+                parts.load(name, Path(folder or ".").absolute())
+
+
+def import_again(found: Mapping[tuple[str, str], str]) -> None:
+    """Import in another process what `searched` has."""
+    for parts in KINDS:
+        for (kind, name), folder in found.items():
+            if kind == parts.kind:
+                parts.load(name, folder)
+
 
 FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
 """shipped estimators that do not keep the poses of all keyframes"""

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import (
-    AngularNoise,
     Count,
     Distribution,
     Noise,
     NonNegative,
     Positive,
     PositiveCount,
-    Range,
     Section,
 )
 
 
-@dataclass(frozen=True)
 class MotionNoise(Section):
     """Noise of the drive: multiplicative on each control tick, plus slip that grows with distance and turn."""
 
@@ -34,13 +32,12 @@ class MotionNoise(Section):
     """Sigma of position slip, m / sqrt(m)."""
     slip_position_per_sqrt_rad: Noise = 2e-3
     """Sigma of position slip, m / sqrt(rad)."""
-    slip_heading_per_sqrt_m: Annotated[float, Range(0.0, 100.0, unit="rad/√m")] = math.radians(0.5)
+    slip_heading_per_sqrt_m: Noise = math.radians(0.5)
     """Sigma of heading slip, rad / sqrt(m)."""
-    slip_heading_per_sqrt_rad: Annotated[float, Range(0.0, 100.0, unit="rad/√rad")] = math.radians(0.5)
+    slip_heading_per_sqrt_rad: Noise = math.radians(0.5)
     """Sigma of heading slip, rad / sqrt(rad)."""
 
 
-@dataclass(frozen=True)
 class LaserNoise(Section):
     """Additive noise of the laser."""
 
@@ -48,27 +45,25 @@ class LaserNoise(Section):
     """Distribution of both parts."""
     range_m: Noise = 0.01
     """Noise of a range: sigma, or the half-width if uniform."""
-    bearing_rad: AngularNoise = 0.0
+    bearing_rad: Noise = 0.0
     """Noise of a beam's direction: sigma, or the half-width if uniform."""
 
 
-@dataclass(frozen=True)
 class WorldConfig(Section):
     """Errors of the simulated robot, and people in the building; the estimators never see either."""
 
-    motion: MotionNoise = field(default_factory=MotionNoise)
-    laser: LaserNoise = field(default_factory=LaserNoise)
-    wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
+    motion: MotionNoise = MotionNoise()
+    laser: LaserNoise = LaserNoise()
+    wheel_scale_error: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     """True distance and turn are (1 + this) times those the wheels report."""
-    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0, unit="rad/m")] = 0.0
+    drift_rad_per_m: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven."""
-    walkers: Annotated[int, Range(0, 1000)] = 0
+    walkers: Annotated[int, Field(ge=0, le=1000)] = 0
     """People who walk from room to room, besides those of the scene."""
     walkers_blind: bool = False
     """Whether people do not stop for the robot."""
 
 
-@dataclass(frozen=True)
 class WheelsConfig(Section):
     """Sigmas of the wheels' parameters where these are estimated, about the assumed values; 0: exactly known."""
 
@@ -76,36 +71,34 @@ class WheelsConfig(Section):
     """Sigma of the age of odometry at its stamp."""
     jitter_sigma_s: Noise = 0.0
     """Sigma of the age's variation, from one change of the velocity to the next."""
-    curve_loss_sigma_m_per_rad: Annotated[float, Range(0.0, 100.0, unit="m/rad")] = 0.0
+    curve_loss_sigma_m_per_rad: Noise = 0.0
     """Sigma of the distance that curves are shorter than reported, per radian turned."""
 
 
-@dataclass(frozen=True)
 class AssumedConfig(Section):
     """Noise that the estimators assume; by default that of the simulator, a mismatch is an experiment."""
 
-    motion: MotionNoise = field(default_factory=MotionNoise)
-    laser: LaserNoise = field(default_factory=LaserNoise)
-    wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
+    motion: MotionNoise = MotionNoise()
+    laser: LaserNoise = LaserNoise()
+    wheel_scale_error: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     """True distance and turn are (1 + this) times those the wheels report; corrected before use."""
-    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0, unit="rad/m")] = 0.0
+    drift_rad_per_m: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven; corrected before use."""
     landmark_floor_m: Noise = 0.0
     """Sigma added to every observation, for the deviation of real walls from straight lines."""
-    wall_floor_rad: AngularNoise = 0.0
+    wall_floor_rad: Noise = 0.0
     """Sigma added to the direction of every observed wall."""
     floor_m: Noise = 1e-4
     """Sigma of position added over the motion between two keyframes, so that the covariance has full rank."""
-    floor_rad: AngularNoise = 1e-4
+    floor_rad: Noise = 1e-4
     """Sigma of heading added over the motion between two keyframes."""
-    wheels: WheelsConfig = field(default_factory=WheelsConfig)
+    wheels: WheelsConfig = WheelsConfig()
 
 
 DEFAULT_ROBOT_RADIUS_M = 0.2
 """Where neither the configuration nor a scene states a radius."""
 
 
-@dataclass(frozen=True)
 class RobotConfig(Section):
     """The differential drive."""
 
@@ -117,19 +110,18 @@ class RobotConfig(Section):
     """Deceleration of braking, m/s^2, as the guard assumes it; the simulated robot stops at once."""
     radius: NonNegative = 0.0
     """Radius of the robot's disc, m; 0: the scene's."""
-    control_period_s: Annotated[float, Range(1e-4, 10.0)] = 0.02
+    control_period_s: Annotated[float, Field(ge=1e-4, le=10.0)] = 0.02
     """Time between two control ticks."""
 
 
-@dataclass(frozen=True)
 class LaserConfig(Section):
     """The scanner, its mount and its rate."""
 
-    beams: Annotated[int, Range(2, 100_000)] = 360
+    beams: Annotated[int, Field(ge=2, le=100_000)] = 360
     """Beams per scan; a full circle is closed, the first beam follows the last."""
-    fov: Annotated[float, Range(0.0, 2 * math.pi, open_low=True, unit="rad")] = 2 * math.pi
+    fov: Annotated[float, Field(gt=0.0, le=2 * math.pi)] = 2 * math.pi
     """Field of view, rad, centred on the mount's x axis."""
-    max_range: Annotated[float, Range(0.0, 1000.0, open_low=True)] = 10.0
+    max_range: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0
     """m; a beam that hits nothing nearer returns inf."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Pose of the laser in the robot's frame: x y theta, m and rad."""
@@ -138,11 +130,10 @@ class LaserConfig(Section):
     its scans nor its mount say so."""
     period_ticks: PositiveCount = 5
     """Control ticks per scan."""
-    sweep_s: Annotated[float, Range(0.0, 1.0)] = 0.0
+    sweep_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Duration of one scan, at most the time between two; it ends at the scan's stamp. 0: an instant."""
 
 
-@dataclass(frozen=True)
 class KeyframeConfig(Section):
     """When a scan is a keyframe, and is used: after the robot has moved this far since the last one."""
 
@@ -153,7 +144,6 @@ class KeyframeConfig(Section):
     """Turn since the last keyframe after which a scan is one."""
 
 
-@dataclass(frozen=True)
 class PartitionConfig(Section):
     """First level: split the scan where neighbouring ranges jump (report eq. 4)."""
 
@@ -161,11 +151,10 @@ class PartitionConfig(Section):
     """adaptive: the jump allowed grows with range and beam spacing (Borges and Aldon 2004)."""
     epsilon_m: Positive = 1.0
     """Jump allowed by the fixed method."""
-    incidence_rad: Annotated[float, Range(0.0, 1.5, open_low=True, unit="rad")] = math.radians(10.0)
+    incidence_rad: Annotated[float, Field(gt=0.0, le=1.5)] = math.radians(10.0)
     """Adaptive: the flattest angle between beam and wall that still counts as one wall."""
 
 
-@dataclass(frozen=True)
 class SplitConfig(Section):
     """Second level: iterative end point fitting (report algorithm 1)."""
 
@@ -175,7 +164,6 @@ class SplitConfig(Section):
     """A piece is split at its farthest point when that lies farther than this from the chord."""
 
 
-@dataclass(frozen=True)
 class LinesConfig(Section):
     """Line fitting: RANSAC, then orthogonal least squares."""
 
@@ -185,28 +173,26 @@ class LinesConfig(Section):
     """Pairs drawn per piece at most; stops early when all points are inliers."""
     least_squares: bool = True
     """Off: the line through RANSAC's best pair."""
-    min_points: Annotated[int, Range(3)] = 6
+    min_points: Annotated[int, Field(ge=3)] = 6
     """A line needs this many inliers."""
     min_length_m: NonNegative = 0.2
     """Shorter lines are dropped."""
-    cut_false_alarm: Annotated[float, Range(0.0, 1.0)] = 0.01
+    cut_false_alarm: Annotated[float, Field(ge=0.0, le=1.0)] = 0.01
     """A line is cut where two lines explain its returns better than a straight wall allows with this probability; 0:
     never."""
 
 
-@dataclass(frozen=True)
 class PointsConfig(Section):
     """Which end points and intersections count as landmarks."""
 
     max_gap_m: Positive = 0.3
     """Two walls meet in a corner only if both end within this distance of it."""
-    min_points: Annotated[int, Range(3)] = 8
+    min_points: Annotated[int, Field(ge=3)] = 8
     """Rule 4: fewest points of a partition with a free end."""
     max_sigma_m: Positive = 0.15
     """Largest sigma of a landmark along any direction; others are not reported."""
 
 
-@dataclass(frozen=True)
 class FeaturesConfig(Section):
     """From a scan to walls and landmarks (report section 4.2)."""
 
@@ -216,13 +202,12 @@ class FeaturesConfig(Section):
     deskew: bool = True
     """Transform the returns of a scan that took time to the robot's pose at its end, by odometry."""
 
-    partition: PartitionConfig = field(default_factory=PartitionConfig)
-    split: SplitConfig = field(default_factory=SplitConfig)
-    lines: LinesConfig = field(default_factory=LinesConfig)
-    points: PointsConfig = field(default_factory=PointsConfig)
+    partition: PartitionConfig = PartitionConfig()
+    split: SplitConfig = SplitConfig()
+    lines: LinesConfig = LinesConfig()
+    points: PointsConfig = PointsConfig()
 
 
-@dataclass(frozen=True)
 class AssociationConfig(Section):
     """Which observation is of which landmark (report section 4.3)."""
 
@@ -236,7 +221,7 @@ class AssociationConfig(Section):
     """Squared Mahalanobis distance of a new landmark from every known one, at least: 0.999999 of chi-square."""
     new_separation_m: NonNegative = 0.3
     """A new landmark is at least this far from every known one."""
-    known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
+    known_probability: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """A named observation outside this quantile of its innovation's distribution is a misread name; 1: never."""
     proposed_by: Literal["estimate", "scan-matching"] = "estimate"
     """Where the robot is when matches are chosen: by the estimator's prediction; or by scan matching, which is used
@@ -245,7 +230,6 @@ class AssociationConfig(Section):
     """A landmark with fewer observations than this 25 keyframes after its first one is removed; 0: none is."""
 
 
-@dataclass(frozen=True)
 class ScansConfig(Section):
     """Alignment of scans with earlier scans, and loop closures (front_end scan-matching)."""
 
@@ -253,14 +237,13 @@ class ScansConfig(Section):
     """Returns farther away are not used."""
     loop_closures: bool = True
     """Off: scans are linked to recent ones alone, and no loop is closed."""
-    min_score: Annotated[float, Range(0.3, 1.0)] = 0.62
+    min_score: Annotated[float, Field(ge=0.3, le=1.0)] = 0.62
     """Least share of a submap's points that a loop closure must explain; lower finds more loop closures, and more wrong
     ones."""
     final_pass: bool = True
     """At the end align the scans between keyframes once more."""
 
 
-@dataclass(frozen=True)
 class ISAM2Config(Section):
     """The smoother (Kaess et al., IJRR 31(2), 2012)."""
 
@@ -270,17 +253,16 @@ class ISAM2Config(Section):
     """Gauss-Newton steps per update, at most; with one the smoother is overconfident where headings are uncertain."""
     robust: Literal["none", "huber", "cauchy"] = "none"
     """Loss on landmarks' factors, against wrong matches."""
-    undo_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.999999
+    undo_probability: Annotated[float, Field(gt=0.0, le=1.0)] = 0.999999
     """A match is rejected later if its residual lies outside this quantile of its noise; 1: never."""
     least_gain: NonNegative = 0.02
     """A key pose is taken out of the graph whose observations say less than this of each landmark, nats; 0: none is."""
 
 
-@dataclass(frozen=True)
 class GridConfig(Section):
     """Hit grid and sense grid (report sections 4.4 and 4.5)."""
 
-    cell_m: Annotated[float, Range(1e-3, 10.0)] = 0.05
+    cell_m: Annotated[float, Field(ge=1e-3, le=10.0)] = 0.05
     """Side of a cell."""
     walls: bool = True
     """Fitted walls, and gaps between returns of one wall that the robot could not pass, count as hits, too."""
@@ -292,16 +274,16 @@ class GridConfig(Section):
     """Further hits are not counted, so that a wall that was removed can be erased."""
     no_return_passes: bool = True
     """A beam without a return passes all cells up to the maximum range; off where glass gives none."""
-    clearance_m: Annotated[float, Range(0.0, 10.0)] = 0.05
+    clearance_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.05
     """Added to the robot's radius when obstacles are inflated."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _hits(self) -> Self:
         if self.min_hits > self.max_hits:
             raise InputError("min_hits", f"found {self.min_hits}", f"at most max_hits, {self.max_hits}")
+        return self
 
 
-@dataclass(frozen=True)
 class ExploreConfig(Section):
     """Where to look next, and when all is seen (report section 4.5)."""
 
@@ -314,13 +296,12 @@ class ExploreConfig(Section):
     """Drive back to a place where the pose was certain when it no longer is."""
 
 
-@dataclass(frozen=True)
 class RRTStarConfig(Section):
     """The sampling planner: RRT* (Karaman and Frazzoli 2011) and Informed RRT* (Gammell et al. 2014)."""
 
     informed: bool = True
     """Once there is a path, sample the ellipse that a shorter one must lie in (Informed RRT*)."""
-    iterations: Annotated[int, Range(1, 10_000_000)] = 5_000
+    iterations: Annotated[int, Field(ge=1, le=10_000_000)] = 5_000
     """States drawn per plan; without a path by then the planner gives up."""
 
 
@@ -328,21 +309,19 @@ GOAL_SLACK_M = 0.05
 """a goal this near is reached: one cell of the map"""
 
 
-@dataclass(frozen=True)
 class FollowConfig(Section):
     """Orient, then translate (report section 4.4)."""
 
     heading_slack_rad: Positive = 0.02
     """The robot drives when its heading is this close to the waypoint's direction."""
-    distance_slack_m: Annotated[float, Range(0.0, GOAL_SLACK_M, open_low=True)] = 0.02
+    distance_slack_m: Annotated[float, Field(gt=0.0, le=GOAL_SLACK_M)] = 0.02
     """A waypoint this near is reached."""
 
 
-@dataclass(frozen=True)
 class SafetyConfig(Section):
     """Paths keep a margin where there is room; the guard slows and stops the robot by its latest scan."""
 
-    max_margin_m: Annotated[float, Range(0.0, 10.0)] = 0.3
+    max_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
     """Largest margin of a path beyond grid.clearance-m, however uncertain the pose; 0: no margin."""
     guard: bool = True
     """Off: commands are not checked."""

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, NamedTuple
+import contextlib
+import dataclasses
+import inspect
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from sixthsense.config.errors import InputError, PartError, nearest, reason_of
 from sixthsense.config.parts import (
@@ -17,11 +22,10 @@ from sixthsense.config.parts import (
     KINDS,
     PLACE_SEARCHES,
     PLANNERS,
-    PartOptions,
     Parts,
     options_class,
 )
-from sixthsense.config.section import Count, Range, Section, checked, hints_of, shown
+from sixthsense.config.section import Count, Section, input_error, shown
 from sixthsense.config.sections import (
     AssociationConfig,
     AssumedConfig,
@@ -40,7 +44,15 @@ from sixthsense.config.sections import (
 )
 
 
-@dataclass(frozen=True)
+def _table(value: Any) -> Any:
+    """The options of a part as a table; they may be given as an object of its `Options`."""
+    options = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
+    return {str(k).replace("-", "_"): one for k, one in options.items()} if isinstance(options, Mapping) else options
+
+
+PartOptions = Annotated[dict[str, Any], BeforeValidator(_table)]
+
+
 class Config(Section):
     """All settings of a run: the same configuration and source give the same run, bit for bit."""
 
@@ -82,7 +94,7 @@ class Config(Section):
     goal; tour: drive to a list of goals, again and again until max-time, or once without it."""
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
-    tour: tuple[tuple[float, float], ...] | None = None
+    tour: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)] | None = None
     """x y of each goal, world frame, m; none: the scene's."""
     start: tuple[float, float, float] | None = None
     """x y theta, world frame, m and rad; none: the scene's."""
@@ -90,39 +102,39 @@ class Config(Section):
     """x0 y0 x1 y1 of the region to see, m; none: the scene's."""
     seed: Count = 0
     """Seed of all randomness."""
-    max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] | None = None
+    max_time: Annotated[float, Field(gt=0.0, le=1e9)] | None = None
     """Time limit by the clock of the source, s. None: the run ends when the task is over."""
     people: bool | None = None
     """People may walk by: what moves is no evidence. Neither the map nor scan matching counts it, and the robot keeps
     its distance and its patience. None: where people walk in the simulated world."""
     map_unknown: Literal["wall", "free"] = "wall"
     """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
-    estimator_options: PartOptions = field(default_factory=PartOptions)
+    estimator_options: PartOptions = Field(default_factory=dict)
     """Options of an estimator that is not shipped, by name."""
-    front_end_options: PartOptions = field(default_factory=PartOptions)
+    front_end_options: PartOptions = Field(default_factory=dict)
     """Options of a front end that is not shipped, by name."""
-    extractor_options: PartOptions = field(default_factory=PartOptions)
+    extractor_options: PartOptions = Field(default_factory=dict)
     """Options of an extractor that is not shipped, by name."""
-    place_search_options: PartOptions = field(default_factory=PartOptions)
+    place_search_options: PartOptions = Field(default_factory=dict)
     """Options of a place search that is not shipped, by name."""
-    planner_options: PartOptions = field(default_factory=PartOptions)
+    planner_options: PartOptions = Field(default_factory=dict)
     """Options of a planner that is not shipped, by name."""
-    explorer_options: PartOptions = field(default_factory=PartOptions)
+    explorer_options: PartOptions = Field(default_factory=dict)
     """Options of an explorer that is not shipped, by name."""
-    robot: RobotConfig = field(default_factory=RobotConfig)
-    laser: LaserConfig = field(default_factory=LaserConfig)
-    world: WorldConfig = field(default_factory=WorldConfig)
-    assumed: AssumedConfig = field(default_factory=AssumedConfig)
-    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
-    features: FeaturesConfig = field(default_factory=FeaturesConfig)
-    association: AssociationConfig = field(default_factory=AssociationConfig)
-    scans: ScansConfig = field(default_factory=ScansConfig)
-    isam2: ISAM2Config = field(default_factory=ISAM2Config)
-    grid: GridConfig = field(default_factory=GridConfig)
-    rrtstar: RRTStarConfig = field(default_factory=RRTStarConfig)
-    follow: FollowConfig = field(default_factory=FollowConfig)
-    explore: ExploreConfig = field(default_factory=ExploreConfig)
-    safety: SafetyConfig = field(default_factory=SafetyConfig)
+    robot: RobotConfig = RobotConfig()
+    laser: LaserConfig = LaserConfig()
+    world: WorldConfig = WorldConfig()
+    assumed: AssumedConfig = AssumedConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    features: FeaturesConfig = FeaturesConfig()
+    association: AssociationConfig = AssociationConfig()
+    scans: ScansConfig = ScansConfig()
+    isam2: ISAM2Config = ISAM2Config()
+    grid: GridConfig = GridConfig()
+    rrtstar: RRTStarConfig = RRTStarConfig()
+    follow: FollowConfig = FollowConfig()
+    explore: ExploreConfig = ExploreConfig()
+    safety: SafetyConfig = SafetyConfig()
 
     def with_implied(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """What follows from named fields.
@@ -150,8 +162,9 @@ class Config(Section):
             return {**table, "estimator": "isam2"}
         return table
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        """Refuse values that exclude each other."""
         if self.goal is not None and self.tour is not None:
             raise InputError("goal", "found beside a tour", "one of the two")
         if self.front_end == "scan-matching" and self.estimator in FILTERS:
@@ -164,6 +177,7 @@ class Config(Section):
             raise InputError(
                 "laser.sweep_s", f"found {self.laser.sweep_s:g}", f"at most {between:g}, the time between two scans"
             )
+        return self
 
 
 class Part(NamedTuple):
@@ -176,6 +190,8 @@ class Part(NamedTuple):
     options: Any = None
     """an object of its `Options`"""
     is_shipped: bool = True
+    members: tuple[str, ...] = ()
+    """what its protocol has, and it must have"""
 
     def make(self, *args: Any) -> Any:
         """Make it; its options are the last argument, if it has any. Raises PartError for one that cannot be made."""
@@ -183,12 +199,66 @@ class Part(NamedTuple):
         if self.is_shipped:
             return self.factory(*args, *options)
         try:
-            return self.factory(*args, *options)
+            made = self.factory(*args, *options)
+            missing = [name for name in self.members if not hasattr(made, name)]
         except InputError:
             raise
         except Exception as error:
             found = f"cannot be made, it raised {type(error).__name__} ({reason_of(error)})"
             raise PartError(self.name, found) from error
+        if missing:
+            raise PartError(self.name, f"has no {', '.join(missing)}")
+        return made
+
+
+def check_returned(part: str, method: str, found: Any, kind: type, **shapes: tuple[int | None, ...]) -> None:
+    """Raise PartError unless what a method of a part has returned is of a kind, and finite.
+
+    `shapes` are of its arrays, by the attribute's name, and `itself` of what is one; None is any length.
+    """
+    import numpy as np
+
+    if not isinstance(found, kind):
+        raise PartError(part, f"{method}: found a {type(found).__name__}, allowed: a {kind.__name__}")
+    for name, shape in shapes.items():
+        array = np.asarray(found if name == "itself" else getattr(found, name))
+        where = method if name == "itself" else f"{method}: {name}"
+        if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+            raise PartError(part, f"{where} has shape {array.shape}, allowed {shape}")
+        if not np.isfinite(array).all():
+            raise PartError(part, f"{where} is not finite")
+
+
+@contextlib.contextmanager
+def naming_parts(config: Config, when: str, check: Callable[[], None]) -> Iterator[None]:
+    """Raise PartError in place of an exception that began in the code of a part of a user's own.
+
+    Any other may follow from what one has returned, which `check` looks at.
+    """
+    try:
+        yield
+    except PartError as error:
+        raise PartError(error.part, error.found, error.when or when) from error
+    except InputError:
+        raise
+    except Exception as error:
+        own = [parts for parts in KINDS if getattr(config, parts.kind) not in parts.shipped]
+        files = {file: parts.kind for parts in own for file in code_files(parts.load(getattr(config, parts.kind)))}
+        for frame in reversed(traceback.extract_tb(error.__traceback__)):
+            if (kind := files.get(frame.filename)) is not None:
+                found = f"{frame.name} raised {type(error).__name__} in line {frame.lineno} ({reason_of(error)})"
+                raise PartError(f"{kind} {getattr(config, kind)}", found, when) from error
+        if own:
+            with naming_parts(Config(), when, check):
+                check()
+        raise
+
+
+def code_files(part: Any) -> set[str]:
+    """Files, or cells of a notebook, that hold the code of a class or function."""
+    part = inspect.unwrap(part)
+    members = [inspect.unwrap(one) for one in vars(part).values() if callable(one)] if inspect.isclass(part) else [part]
+    return {one.__code__.co_filename for one in members if hasattr(one, "__code__")}
 
 
 def part_of(config: Config, parts: Parts) -> Part:
@@ -197,10 +267,33 @@ def part_of(config: Config, parts: Parts) -> Part:
     factory, section = parts.load(name), parts.sections.get(name)
     if section is None:
         options = part_options(parts.kind, factory, given)
-        return Part(f"{parts.kind} {name}", factory, options, name in parts.shipped)
+        is_shipped = name in parts.shipped
+        members = () if is_shipped else tuple(one for one in vars(parts.protocol()) if not one.startswith("_"))
+        return Part(f"{parts.kind} {name}", factory, options, is_shipped, members)
     if given:
         raise InputError(f"{parts.kind}_options", f"found {', '.join(given)} for {name}", f"the section {section}")
     return Part(f"{parts.kind} {name}", factory, getattr(config, section))
+
+
+def with_checked_parts(config: Config) -> Config:
+    """The configuration with the options of parts as these take them: texts of a command line become numbers.
+
+    Raises what `check_parts` raises.
+    """
+    check_parts(config)
+    for parts in KINDS:
+        if given := getattr(config, f"{parts.kind}_options"):
+            options = part_of(config, parts).options
+            config = config.replaced(**{f"{parts.kind}_options": {name: getattr(options, name) for name in given}})
+    return config
+
+
+def implied(before: Config, given: Mapping[str, Any], after: Config) -> Iterator[str]:
+    """A line for each part that follows from the `given` fields and is not among them."""
+    for name in ("estimator", "front_end"):
+        old, new = getattr(before, name), getattr(after, name)
+        if name not in given and new != old:
+            yield f"{name} is {new} in place of {old}, which does not go with what is given"
 
 
 def check_parts(config: Config) -> None:
@@ -226,13 +319,17 @@ def make_part(parts: Parts, part: Any, *args: Any, options: Any = None) -> Any:
 
 
 def part_options(kind: str, factory: Any, given: Mapping[str, Any]) -> Any:
-    """The options of a part with the values that are given, checked by the annotations of its dataclass."""
+    """The options of a part with the values that are given, validated by the annotations of its dataclass."""
     cls, where = options_class(factory), f"{kind}_options"
-    hints = {} if cls is None else hints_of(cls)
+    names = list(inspect.signature(cls).parameters) if cls is not None else []
     for name in given:
-        if name not in hints:
-            raise InputError(f"{where}.{name}", "no such option", ", ".join(hints) or "none", nearest(name, hints))
-    return None if cls is None else cls(**{k: checked(f"{where}.{k}", hints[k], value) for k, value in given.items()})
+        if name not in names:
+            raise InputError(f"{where}.{name}", "no such option", ", ".join(names) or "none", nearest(name, names))
+    try:
+        return None if cls is None else TypeAdapter(cls).validate_python(given)
+    except ValidationError as error:
+        found = input_error(error)
+        raise found.at(f"{where}.{found.where}") from None
 
 
 def task_of(given: Mapping[str, Any]) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -143,7 +142,7 @@ def fit_motion(
     and counts as noise. Parameters that the samples cannot separate, such as slip and turn noise, stay close to the
     assumed values: the prior of each has a standard deviation of a factor of e.
     """
-    straight = dataclasses.replace(assumed, wheel_scale_error=0.0, drift_rad_per_m=0.0)
+    straight = assumed.replaced(wheel_scale_error=0.0, drift_rad_per_m=0.0)
     noiseless = merge(straight, {"motion": dict.fromkeys(_MOTION, 0.0)})
     motions, floor = _composed(samples, noiseless)
     initial = {name: getattr(assumed.motion, name) or size for name, size in _MOTION.items()}

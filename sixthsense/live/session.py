@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -149,10 +148,10 @@ class Session:
         robot = self.config.robot
         if drive:
             period_s = 1e-9 * float(np.median(np.diff(stamps)))
-            robot = dataclasses.replace(robot, control_period_s=max(robot.control_period_s, _RESPONSE_S))
+            robot = robot.replaced(control_period_s=max(robot.control_period_s, _RESPONSE_S))
             ticks = max(1, math.ceil(period_s / robot.control_period_s - 0.1))
-            laser = dataclasses.replace(laser, period_ticks=ticks)
-        self.config = dataclasses.replace(self.config, laser=laser, robot=robot)
+            laser = laser.replaced(period_ticks=ticks)
+        self.config = self.config.replaced(laser=laser, robot=robot)
 
     def seen_m2(self) -> float:
         """Area of the map as it was drawn last."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +66,7 @@ def described(given: LaserConfig, count: int, step: float, max_range: float, mou
     """The configuration of a laser of `count` beams, whose field of view is centred on the mount's x axis."""
     is_closed = abs(step * count - 2.0 * math.pi) < 0.5 * step
     fov = 2.0 * math.pi if is_closed else min(step * (count - 1), 2.0 * math.pi)
-    return replace(given, beams=count, fov=fov, max_range=max_range, mount=(mount.x, mount.y, mount.theta))
+    return given.replaced(beams=count, fov=fov, max_range=max_range, mount=(mount.x, mount.y, mount.theta))
 
 
 def mount_from_poses(laser: Array, robot: Array) -> Pose | None:

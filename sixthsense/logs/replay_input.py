@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -182,7 +181,7 @@ def of_log(config: Config, log: Log) -> Config:
     """The configuration with the laser as the log describes it, if it does, and without odometry if it has none."""
     if not log.has_odometry:
         config = merge(config, {"no_odometry": True})
-    return config if log.laser is None else dataclasses.replace(config, laser=log.laser)
+    return config if log.laser is None else config.replaced(laser=log.laser)
 
 
 def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) -> Relations:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,13 +11,13 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.tree import naming_parts
 from sixthsense.core.geometry import Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.logs.log import Log, Playback, Relations
 from sixthsense.logs.replay_input import recorded_scene
 from sixthsense.loop.interrupt import deferred_interrupt
-from sixthsense.loop.own_parts import OwnParts
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -47,17 +46,18 @@ def drive(
     pilot: Pilot,
     watchers: Sequence[Watcher],
     clock: Stopwatch,
-    own_parts: OwnParts | None = None,
 ) -> str:
     """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome.
 
     Raises PartError that names a part which is not shipped, if it fails.
     """
-    command, own_parts = Command(), own_parts or OwnParts(slam.config, slam.estimator)
+    command, keyframe, first_ns = Command(), -1, None
     while (tick := sensed(source, command, clock)) is not None:
-        with own_parts.at(tick):
+        first_ns = tick.stamp_ns if first_ns is None else first_ns
+        when = f"after keyframe {keyframe}, at {1e-9 * (tick.stamp_ns - first_ns):.2f} s"
+        with naming_parts(slam.config, when, slam.check_estimate):
             step = slam.take(tick)
-            own_parts.took(step)
+            keyframe = keyframe if step.keyframe is None else step.keyframe.index
             with clock.stage("plan"):
                 command = pilot.steer(step)
         outcome: str | None = "collided" if tick.collided else pilot.navigator.outcome
@@ -241,7 +241,7 @@ def searching_navigator(config: Config, radius_m: float) -> Navigator:
     from sixthsense.slam.relocalization import MOST_DRIVEN_M
 
     streams, reach_m = random_streams(config.seed), 2.0 * MOST_DRIVEN_M
-    task = dataclasses.replace(config, task="explore", goal=None, tour=None)
+    task = config.replaced(task="explore", goal=None, tour=None)
     region = (-reach_m, -reach_m, reach_m, reach_m)
     return make_navigator(task, Pose(), np.zeros((0, 2)), region, radius_m, streams.planner, streams.exploration)
 
@@ -265,10 +265,9 @@ def recorded_drive(
             if config.max_time is not None:
                 watchers.append(deadline(config.max_time, pilot.navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
-            own_parts = OwnParts(config, slam.estimator)
-            outcome = drive(source, slam, pilot, watchers, clock, own_parts)
+            outcome = drive(source, slam, pilot, watchers, clock)
             # A robot that sends nothing brings no tick after which a watcher could end the run.
-            with own_parts:
+            with naming_parts(config, "at the end", slam.check_estimate):
                 trace.wall_time_s = time.perf_counter() - began
                 finish(trace, slam, pilot, "interrupted" if outcome == "log ended" and interrupted() else outcome)
     return trace

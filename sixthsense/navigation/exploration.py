@@ -11,12 +11,11 @@ from typing import Literal
 
 import numpy as np
 
-from sixthsense.config.errors import PartError
 from sixthsense.config.parts import EXPLORERS
-from sixthsense.config.tree import part_of
+from sixthsense.config.tree import check_returned, part_of
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.exploration_task import TRIES, ExplorationTask
-from sixthsense.navigation.explorer import ExplorationView, Explorer, target_fault
+from sixthsense.navigation.explorer import ExplorationView, Explorer
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
@@ -258,8 +257,8 @@ class Exploration:
             return None
         view = ExplorationView(planner, candidates)
         target = self.explorer.next_target(view)
-        if not self._part.is_shipped and (fault := target_fault(view, target)):
-            raise PartError(self._part.name, f"next_target: {fault}")
+        if not self._part.is_shipped and target is not None:
+            check_returned(self._part.name, "next_target", target, Target, cells=(None, 2), viewpoint=(2,))
         return target
 
     def _target_outside(self, pose: Pose) -> Target | None:

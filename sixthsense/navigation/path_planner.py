@@ -20,14 +20,13 @@ from scipy import ndimage
 from scipy.special import ndtri
 
 from sixthsense.config import Config
-from sixthsense.config.errors import PartError
 from sixthsense.config.parts import PLANNERS
 from sixthsense.config.sections import GOAL_SLACK_M
+from sixthsense.config.tree import check_returned
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.guard import latency_s, stopping_distance
 from sixthsense.navigation.planners import Plan, Planner
 from sixthsense.navigation.planners.astar import AStar
-from sixthsense.navigation.planners.base import plan_fault
 from sixthsense.navigation.planners.shortcut import path_is_free, shortcut
 from sixthsense.navigation.ways import way_out
 from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
@@ -177,9 +176,8 @@ class PathPlanner:
             return None
         if self._planner is not None:
             own = self._planner.plan(space, start, goal)
-            is_own = config.planner not in PLANNERS.shipped
-            if is_own and (fault := plan_fault(own, space, start, goal)):
-                raise PartError(f"planner {config.planner}", f"plan: {fault}")
+            if config.planner not in PLANNERS.shipped:
+                check_returned(f"planner {config.planner}", "plan", own, Plan, path_world=(None, 2))
             plan = own if own.found else plan
             self.plans_by_astar = (self.plans_by_astar or 0) + (not own.found)
         path = shortcut(space, plan.path_world)

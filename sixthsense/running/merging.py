@@ -108,7 +108,7 @@ def open_merged(
 
 def _aligning(config: Config) -> Config:
     changed = merge(config, {"front_end": "scan-matching", "estimator": "isam2", "calibrate_wheels": False})
-    return dataclasses.replace(changed, max_time=None)
+    return changed.replaced(max_time=None)
 
 
 def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:

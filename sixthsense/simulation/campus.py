@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
 
 from sixthsense.config.errors import InputError
-from sixthsense.config.section import Range, Section
+from sixthsense.config.section import Count, Section
 from sixthsense.core.geometry import Array
 
 _MOST_BLOCKS = 400
@@ -25,27 +25,27 @@ _PILLAR_M, _PILLARS_APART_M = 0.6, 6.0
 _PIECE_M, _PIECE_CLEAR_M = (0.5, 1.6), 1.0  # furniture, and its distance from walls: no door is blocked
 
 
-@dataclass(frozen=True)
 class Campus(Section):
     """The numbers that a campus is drawn from: the table `campus` of a scene."""
 
-    blocks: tuple[Annotated[int, Range(1, _MOST_BLOCKS)], Annotated[int, Range(1, _MOST_BLOCKS)]]
+    blocks: tuple[Annotated[int, Field(ge=1, le=_MOST_BLOCKS)], Annotated[int, Field(ge=1, le=_MOST_BLOCKS)]]
     """along x and y"""
-    block_m: Annotated[float, Range(20.0, 1e6)]
+    block_m: Annotated[float, Field(ge=20.0, le=1e6)]
     """side of a block"""
-    corridor_m: Annotated[float, Range(1.5, 1e6)]
+    corridor_m: Annotated[float, Field(ge=1.5, le=1e6)]
     """width of the corridors around the blocks"""
-    halls: Annotated[float, Range(0.0, 1.0)]
+    halls: Annotated[float, Field(ge=0.0, le=1.0)]
     """share of the blocks that are a hall with pillars"""
-    furniture: Annotated[float, Range(0.0, 3.0)]
+    furniture: Annotated[float, Field(ge=0.0, le=3.0)]
     """mean number of pieces in a room"""
-    seed: Annotated[int, Range(0)]
+    seed: Count
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _few(self) -> Self:
         if self.blocks[0] * self.blocks[1] > _MOST_BLOCKS:
             found = f"{self.blocks[0]} x {self.blocks[1]}"
             raise InputError("blocks", f"found {found}", f"at most {_MOST_BLOCKS} in all")
+        return self
 
 
 def campus_walls(campus: Campus) -> Array:

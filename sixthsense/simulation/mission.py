@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +81,7 @@ def mission(scene: Scene, config: Config) -> Mission:
 def with_people(scene: Scene, config: Config) -> Config:
     """The configuration of a robot that knows of people where any walk in the scene, unless it says otherwise."""
     if config.people is None and (scene.walkers or config.world.walkers):
-        return dataclasses.replace(config, people=True)
+        return config.replaced(people=True)
     return config
 
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from sixthsense.config.errors import InputError, reason_of
-from sixthsense.config.section import Range, Section
+from sixthsense.config.section import Section
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.simulation.scene_files import Coordinate, check_count, read_floats, read_section, read_text
 
@@ -37,24 +37,24 @@ _DEVIATION_COST = 3.0
 _LOOK_AHEAD = 2000
 
 
-@dataclass(frozen=True)
 class _Map(Section):
     """The fields of a map."""
 
     image: str
-    resolution: Annotated[float, Range(1e-4, 100.0)]
+    resolution: Annotated[float, Field(ge=1e-4, le=100.0)]
     """metres a cell"""
     origin: tuple[Coordinate, Coordinate, Coordinate]
     """x, y and yaw of the lower left corner"""
     negate: Literal["0", "1", "false", "true"]
-    occupied_thresh: Annotated[float, Range(0.0, 1.0)]
-    free_thresh: Annotated[float, Range(0.0, 1.0)]
+    occupied_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
+    free_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
     mode: Literal["trinary", "scale", "raw"] = "trinary"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _named(self) -> Self:
         if not 0 < len(self.image) <= _LONGEST_NAME:
             raise InputError("image", f"found a name of {len(self.image)} characters", "the name of a file")
+        return self
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
@@ -70,7 +70,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     """
     table = _read_yaml(file)
     if isinstance(table, dict):
-        known = {f.name for f in fields(_Map)}
+        known = _Map.model_fields
         table = {key: _read_value(key, text) for key, text in table.items() if key in known}
     stated = read_section("", table, _Map)
     T_world_map = Pose(*stated.origin)

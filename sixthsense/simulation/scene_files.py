@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+from pydantic import Field
+
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.files import path_of
-from sixthsense.config.section import Range, Section, shown, shown_name
+from sixthsense.config.section import Section, shown, shown_name
 
 T = TypeVar("T")
 S = TypeVar("S", bound=Section)
@@ -28,7 +29,7 @@ _LIMIT_M = 1e6
 _LONGEST = 1 << 23  # characters; an endless stream must not fill the memory
 _SHORTEST_WALL_M = 1e-6
 
-Coordinate = Annotated[float, Range(-_LIMIT_M, _LIMIT_M)]
+Coordinate = Annotated[float, Field(ge=-_LIMIT_M, le=_LIMIT_M)]
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -84,7 +85,7 @@ def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required
 
 def read_section(where: str, table: Any, kind: type[S]) -> S:
     """A table as a section of this kind, whose fields without a default are required."""
-    known = {f.name: f.default is MISSING for f in fields(kind)}  # type: ignore[arg-type]
+    known = {name: field.is_required() for name, field in kind.model_fields.items()}
     if not isinstance(table, dict):
         raise InputError(where, f"found {shown(table)}", f"a table with {', '.join(known)}")
     prefix = f"{where}, " if where else ""
@@ -154,7 +155,6 @@ def read_wall(where: str, values: Any) -> list[Point]:
     return [(x1, y1), (x2, y2)]
 
 
-@dataclass(frozen=True)
 class _Polygon(Section):
     """A closed polygon, or an open polyline."""
 

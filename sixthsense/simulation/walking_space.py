@@ -6,16 +6,16 @@ import functools
 import heapq
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 from scipy import ndimage
 
 from sixthsense.config.errors import InputError
-from sixthsense.config.section import Range, Section
+from sixthsense.config.section import Section
 from sixthsense.core.geometry import Array
 from sixthsense.simulation.scene_files import Coordinate, Region, read_each, read_section
 
@@ -176,21 +176,21 @@ class WalkingSpace:
         return bool(free[rows.clip(0, free.shape[0] - 1), cols.clip(0, free.shape[1] - 1)].all())
 
 
-@dataclass(frozen=True)
 class ScriptedWalk(Section):
     """A walk that a scene states: way points that someone visits again and again, each by the shortest way."""
 
     points: tuple[tuple[Coordinate, Coordinate], ...]
-    speed: Annotated[float, Range(0.0, 3.0, open_low=True)] = 1.0
+    speed: Annotated[float, Field(gt=0.0, le=3.0)] = 1.0
     """m/s"""
-    pauses: tuple[Annotated[float, Range(0.0, 1e6)], ...] | None = None
+    pauses: tuple[Annotated[float, Field(ge=0.0, le=1e6)], ...] | None = None
     """at each way point, s; None: none"""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _paused(self) -> Self:
         if self.pauses is not None and len(self.pauses) != len(self.points):
             allowed = f"a time for each of the {len(self.points)} way points"
             raise InputError("pauses", f"found {len(self.pauses)}", allowed)
+        return self
 
     def pause_s(self, k: int) -> float:
         """The pause at way point k."""

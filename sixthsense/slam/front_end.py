@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config, KeyframeConfig
-from sixthsense.config.errors import PartError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
@@ -152,44 +151,6 @@ class FrontEnd(Protocol):
     def finish(self) -> Finished:
         """Predict up to the last tick."""
         ...
-
-
-class CheckedFrontEnd:
-    """A front end that is not shipped: PartError where it returns what its contract does not allow."""
-
-    def __init__(self, front_end: FrontEnd, name: str) -> None:
-        """Check what a front end, whose kind and name these are, returns."""
-        self._front_end, self._name = front_end, name
-
-    @property
-    def pose(self) -> Pose:
-        """That of the front end."""
-        pose = self._front_end.pose
-        if not isinstance(pose, Pose) or not np.isfinite(pose.array()).all():
-            raise PartError(self._name, f"pose: found {pose}, allowed: a Pose of finite numbers")
-        return pose
-
-    @property
-    def since(self) -> Odometry:
-        """That of the front end."""
-        since = self._front_end.since
-        if not isinstance(since, Odometry) or np.shape(since.cov) != (3, 3) or not np.isfinite(since.cov).all():
-            raise PartError(self._name, f"since: found {since}, allowed: an Odometry with a covariance (3, 3)")
-        return since
-
-    def take(self, evidence: Evidence) -> Keyframe | None:
-        """What the front end makes of a tick."""
-        found = self._front_end.take(evidence)
-        if found is not None and not isinstance(found, Keyframe):
-            raise PartError(self._name, f"take: found a {type(found).__name__}, allowed: a Keyframe, or None")
-        return found
-
-    def finish(self) -> Finished:
-        """What the front end knows at the end."""
-        found = self._front_end.finish()
-        if not isinstance(found, Finished):
-            raise PartError(self._name, f"finish: found a {type(found).__name__}, allowed: Finished")
-        return found
 
 
 def is_due(motion: Pose, odometry: Odometry, limits: KeyframeConfig) -> bool:

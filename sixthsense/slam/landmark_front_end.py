@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.config.errors import PartError
 from sixthsense.config.parts import EXTRACTORS
-from sixthsense.config.tree import part_of
+from sixthsense.config.tree import check_returned, part_of
 from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Closure
@@ -26,7 +26,6 @@ from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator, Smoother
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
-from sixthsense.slam.features.extractor import features_fault
 from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import ByWheels, Motion
 
@@ -74,8 +73,11 @@ class LandmarkFrontEnd:
         if evidence.scan is not None:
             with self._clock("extract"):
                 features = self._extractor.extract(evidence.scan)
-            if self._config.extractor not in EXTRACTORS.shipped and (fault := features_fault(features)):
-                raise PartError(f"extractor {self._config.extractor}", f"extract: {fault}")
+            if self._config.extractor not in EXTRACTORS.shipped:
+                name = f"extractor {self._config.extractor}"
+                check_returned(name, "extract", features, Features)
+                for one in features.observations:
+                    check_returned(name, "extract", one, Observation, z=(2,), cov=(2, 2))
         with self._clock("associate"):
             association = self._associated(features, evidence)
         if association.slip is not None:

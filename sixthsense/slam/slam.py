@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config
-from sixthsense.config.errors import InputError, PartError
+from sixthsense.config.errors import InputError
 from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS, STATES_RELATIVE
 from sixthsense.config.section import shown
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.config.tree import part_of
+from sixthsense.config.tree import check_returned, part_of
 from sixthsense.core.arguments import as_pose, as_ranges
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
@@ -31,7 +31,6 @@ from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.estimators.base import StatesRelative
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import (
-    CheckedFrontEnd,
     Clock,
     Evidence,
     FrontEnd,
@@ -102,8 +101,7 @@ class Slam:
             self._mapper.start_from(prior_map.evidence)
         setup = FrontEndSetup(config, self.estimator, self._start, self.associator, self._motion, clock)
         part = part_of(config, FRONT_ENDS)
-        front_end: FrontEnd = part.make(setup)
-        self._front_end = front_end if part.is_shipped else CheckedFrontEnd(front_end, part.name)
+        self._front_end: FrontEnd = part.make(setup)
         self._last: Tick | None = None
         self._T_world_odom = self._start
         self._estimate = self._reported(self.estimator.estimate())
@@ -285,14 +283,27 @@ class Slam:
 
     def _taken(self, keyframe: Keyframe) -> Keyframe:
         """A keyframe with its covariance as it is reported; the wheels' newest values are used from now on."""
-        if not isinstance(keyframe, Keyframe):
-            found = f"take: found a {type(keyframe).__name__}, allowed: a Keyframe, or None"
-            raise PartError(f"front_end {self.config.front_end}", found)
+        if self.config.front_end not in FRONT_ENDS.shipped:
+            name = f"front_end {self.config.front_end}"
+            check_returned(name, "take", keyframe, Keyframe)
+            check_returned(name, "pose", self._front_end.pose, Pose, x=(), y=(), theta=())
+            check_returned(name, "since", self._front_end.since, Odometry, cov=(3, 3))
+        self.check_estimate()
         if self._sensor is not None:
             keyframe = dataclasses.replace(keyframe, estimate=self._sensor.reported(keyframe.estimate))
         self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures
         self._motion.at_keyframe(self.wheels() if self.config.calibrate_wheels else None)
         return keyframe
+
+    def check_estimate(self) -> None:
+        """Raise PartError where an estimator that is not shipped returns what has another shape, or is not finite."""
+        if self.config.estimator not in ESTIMATORS.shipped:
+            name, found = f"estimator {self.config.estimator}", self.estimator.estimate()
+            n = len(getattr(found, "ids", ()))
+            check_returned(name, "estimate()", found, Estimate, pose_cov=(3, 3), landmarks=(n, 2))
+            check_returned(name, "trajectory()", np.asarray(self.estimator.trajectory()), np.ndarray, itself=(None, 3))
+            joint = np.asarray(self.estimator.joint_covariance(found.ids.tolist()))
+            check_returned(name, "joint_covariance", joint, np.ndarray, itself=(3 + 2 * n, 3 + 2 * n))
 
     def _add_to_map(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
         walls = keyframe.features.walls

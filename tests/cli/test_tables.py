@@ -29,7 +29,8 @@ OUTCOMES = {
 def ended(outcome: str, level: str | None = None) -> Any:
     verdict = None if level is None else SimpleNamespace(level=level)
     metrics, trace = {"outcome": outcome, "scans": 3, "keyframes": 2}, SimpleNamespace(left=[], config=Config())
-    return SimpleNamespace(outcome=outcome, metrics=metrics, trace=trace, folder=Path("a b"), verdict=verdict)
+    found = {"metrics": metrics, "trace": trace, "folder": Path("a b"), "verdict": verdict}
+    return SimpleNamespace(outcome=outcome, summary={"outcome": outcome}, **found)
 
 
 @pytest.mark.parametrize("outcome", OUTCOMES)
@@ -66,7 +67,7 @@ def settings(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Config]:
         raise CaughtError("settings", "caught")
 
     for name in (
-        "running.runs.simulate", "sources.replay_input.open_recorded", "live.session.Session",
+        "running.runs.simulate", "logs.replay_input.open_recorded", "live.session.Session",
         "live.simulated.SimulatedRobot", "evaluation.calibrate.calibrate", "running.merging.open_merged",
     ):  # fmt: skip
         monkeypatch.setattr(f"sixthsense.{name}", catch)

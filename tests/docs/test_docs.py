@@ -1,19 +1,18 @@
 """Whether the pages of docs/ are true: their code runs, and they name all that there is to name."""
 
-import dataclasses
 import os
 import re
 import subprocess
 import sys
 import types
-import typing
 from pathlib import Path
 
 import matplotlib
 import pytest
 
 import sixthsense as ss
-from sixthsense.cli.options import of_section
+from sixthsense.cli.listing import parser_of
+from sixthsense.cli.runs import Run
 from sixthsense.config import Section
 from sixthsense.logs.runfolder import FILE, read_messages
 
@@ -83,9 +82,9 @@ def test_every_field_of_the_configuration_has_a_row_with_its_meaning():
     rows = dict(re.findall(r"^\| `([\w.]+)` \|.* \| (.+?) \|$", reference.configuration(), re.MULTILINE))
 
     def fields(section, path=""):
-        for name, hint in typing.get_type_hints(section).items():
-            if dataclasses.is_dataclass(hint) and issubclass(hint, Section):
-                yield from fields(hint, f"{path}{name}.")
+        for name, field in section.model_fields.items():
+            if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+                yield from fields(field.annotation, f"{path}{name}.")
             else:
                 yield path + name
 
@@ -94,7 +93,7 @@ def test_every_field_of_the_configuration_has_a_row_with_its_meaning():
 
 
 def test_every_field_that_a_page_names_as_an_option_exists():
-    flags = {option.flag for option in of_section(ss.Config())}
+    flags = {flag for action in parser_of("run", Run)._actions for flag in action.option_strings}
     sections = {flag.rpartition(".")[0] for flag in flags}
     pages = [DOCS.parent / "README.md", *DOCS.rglob("*.md")]
     named = {

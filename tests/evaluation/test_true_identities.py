@@ -4,8 +4,6 @@ An observation here is an ideal one unless it is extracted from a simulated scan
 hit.
 """
 
-import dataclasses
-
 import numpy as np
 import pytest
 from predicted import predict_points
@@ -92,7 +90,7 @@ def random_room(rng):
 @pytest.mark.parametrize("landmarks", ["both", "corners"])
 def test_every_observation_in_a_convex_room_with_right_angles_is_of_one_wall_or_corner(landmarks):
     config = merge(Config(), {"laser": {"mount": MOUNT}})
-    features = dataclasses.replace(config.features, landmarks=landmarks)
+    features = config.features.replaced(landmarks=landmarks)
     bearings, rng = beam_bearings(config.laser), np.random.default_rng(3)
     observations = 0
     for _ in range(150):

@@ -76,8 +76,8 @@ def test_blocks_of_cells_lie_where_the_cells_do_and_keep_every_obstacle(trace: T
 
 
 def test_a_run_without_returns_can_be_drawn(tmp_path: Path) -> None:
-    blind = dataclasses.replace(preset(), scene="rectangle", max_time=0.5)
-    blind = dataclasses.replace(blind, laser=dataclasses.replace(blind.laser, max_range=0.01))
+    blind = preset().replaced(scene="rectangle", max_time=0.5)
+    blind = blind.replaced(laser=blind.laser.replaced(max_range=0.01))
     save_map(run(blind), tmp_path / "map.png", "a title")
     assert (tmp_path / "map.png").is_file()
 

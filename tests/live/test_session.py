@@ -63,7 +63,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
         try:
             session.configure(True)
             driven = session.config
-            stated = dataclasses.replace(driven.laser, mount=(0.3, 0.4, -0.5), max_range=3.5)
+            stated = driven.laser.replaced(mount=(0.3, 0.4, -0.5), max_range=3.5)
             session.config = dataclasses.replace(driven, laser=stated)
             session.configure(False)
         finally:

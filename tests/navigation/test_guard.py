@@ -272,7 +272,7 @@ def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_robot_does_not_touch_a_wall_that_appears_before_it_and_drives_around(seed: int) -> None:
-    config = dataclasses.replace(preset("default"), seed=seed, max_time=120.0)
+    config = preset("default").replaced(seed=seed, max_time=120.0)
     trace = driven(config, SuddenWall)
     assert trace.outcome == "goal reached"
     assert driven(merge(config, {"safety": {"guard": False}}), SuddenWall).outcome == "collided"
@@ -289,7 +289,7 @@ NOISY = [
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("name", "changes"), NOISY)
 def test_a_robot_much_noisier_than_assumed_touches_nothing(name: str, changes: dict[str, object], seed: int) -> None:
-    config = merge(dataclasses.replace(preset(name), seed=seed, max_time=60.0), changes)
+    config = merge(preset(name).replaced(seed=seed, max_time=60.0), changes)
     assert measure(driven(config, SuddenWall))["collisions"] == 0
 
 

@@ -16,7 +16,7 @@ from sixthsense.slam.front_end import is_due
 
 ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
 ORIGIN = Pose()
-SHORT = dataclasses.replace(preset(), scene="rectangle", task="tour", max_time=10.0)
+SHORT = preset().replaced(scene="rectangle", task="tour", max_time=10.0)
 
 
 def numbers(trace: Trace) -> list[Array]:
@@ -42,7 +42,7 @@ def ticks(source: World, commands: list[Command]) -> list[Tick]:
 
 @pytest.mark.parametrize("name", ["default", "worn"])
 def test_one_configuration_gives_one_run_bit_for_bit(name: str) -> None:
-    config = dataclasses.replace(preset(name), scene="rectangle", task="tour", max_time=10.0)
+    config = preset(name).replaced(scene="rectangle", task="tour", max_time=10.0)
     assert same(run(config), run(config))
 
 

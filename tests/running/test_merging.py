@@ -105,7 +105,7 @@ def check_ticks(both, monday, tuesday):
 
 def recorded(folder) -> ReplayInput:
     config = merge(ss.load_config(folder / "config.toml"), {"front_end": "scan-matching"})
-    return open_recorded(folder, dataclasses.replace(config, max_time=None))
+    return open_recorded(folder, config.replaced(max_time=None))
 
 
 def joined(one: ReplayInput, other: ReplayInput) -> Merged:

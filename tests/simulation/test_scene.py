@@ -29,7 +29,7 @@ region = [1.6, 2.8, 5.4, 4.3]
 """
 SIDES = [[1.5, 2.5, 5.5, 2.5], [5.5, 2.5, 5.5, 4.5], [5.5, 4.5, 1.5, 4.5], [1.5, 4.5, 1.5, 2.5]]
 ROOM = f"walls = {SIDES}\n"
-SMALL = Campus((3, 2), 27.0, 3.0, 0.3, 1.0, 4)
+SMALL = Campus(blocks=(3, 2), block_m=27.0, corridor_m=3.0, halls=0.3, furniture=1.0, seed=4)
 CELL_M = 0.1
 SQUARE = [[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]]
 SHAFT = [[[3, 3], [4.5, 3]], [[4.5, 3], [4.5, 4.5]], [[4.5, 4.5], [3, 4.5]]]
@@ -348,7 +348,7 @@ def doors(walls):
 
 
 def test_a_campus_has_its_size_its_share_of_halls_and_its_doors():
-    bare = Campus((6, 4), 27.0, 3.0, 0.0, 0.0, 4)
+    bare = Campus(blocks=(6, 4), block_m=27.0, corridor_m=3.0, halls=0.0, furniture=0.0, seed=4)
     walls = campus_walls(bare)
     assert (walls.min(axis=(0, 1)).tolist(), walls.max(axis=(0, 1)).tolist()) == ([0.0, 0.0], [183.0, 123.0])
     xs = np.unique(walls[4:, :, 0].round(9))
@@ -366,7 +366,7 @@ def test_a_campus_has_its_size_its_share_of_halls_and_its_doors():
 
 
 def test_furniture_has_its_mean_number_and_stands_apart_from_walls_and_other_pieces():
-    walls = campus_walls(Campus((3, 2), 27.0, 3.0, 0.0, 2.5, 4))
+    walls = campus_walls(Campus(blocks=(3, 2), block_m=27.0, corridor_m=3.0, halls=0.0, furniture=2.5, seed=4))
     boxes = [walls[k : k + 4] for k in range(len(walls) - 3)
              if np.array_equal(walls[k + 3, 1], walls[k, 0]) and np.ptp(walls[k : k + 4, :, 0]) < 1.6]  # fmt: skip
     pieces = np.array([[b[:, :, 0].min(), b[:, :, 1].min(), b[:, :, 0].max(), b[:, :, 1].max()] for b in boxes])
@@ -433,10 +433,10 @@ def test_the_world_of_a_mission_has_its_seed_its_glass_and_its_people(tmp_path: 
     config, task = mission_of(preset(scene=name, task="explore", seed=7))
     assert config.people and mission_of(preset(scene=name, task="explore", people=False))[0].people is False
     assert mission_of(preset(scene="rectangle", world={"walkers": 1}, task="explore"))[0].people
-    one, other, third = (task.world(replace(config, seed=seed)).step(Command()) for seed in (7, 7, 8))
+    one, other, third = (task.world(config.replaced(seed=seed)).step(Command()) for seed in (7, 7, 8))
     assert np.array_equal(one.scan.ranges, other.scan.ranges) and not np.array_equal(one.scan.ranges, third.scan.ranges)
     assert one.walkers.shape == (1, 3) and one.walkers[0, :2].tolist() == [3.0, 3.0]
-    world = replace_walkers(task).world(replace(config, start=None))
+    world = replace_walkers(task).world(config.replaced(start=None))
     while not (tick := world.step(Command(0.3, -0.14))).collided:
         last = tick
     assert last.truth.x < 3.4

@@ -15,7 +15,7 @@ from sixthsense.simulation.walking_space import ScriptedWalk
 SCENE = Scene(
     "hall", [[[-3.1, 2.2], [4.7, 2.6]], [[4.7, 2.6], [5.9, -1.3]]], Pose(1.2, 0.7, 2.1), 0.31, (3.3, 1.9),
     ((0.4, 1.6), (2.5, -0.8)), (-2.7, -1.9, 5.2, 3.4), glass=[[[0.3, 1.1], [0.9, 1.7]]],
-    walkers=(ScriptedWalk(((1.5, 2.1), (-1.4, 0.6)), 0.7, (2.0, 3.0)),),
+    walkers=(ScriptedWalk(points=((1.5, 2.1), (-1.4, 0.6)), speed=0.7, pauses=(2.0, 3.0)),),
 )  # fmt: skip
 
 

@@ -4,7 +4,6 @@ The error of the start stays in all poses, since nothing that the robot sees ref
 the keyframes of a run has at most the variance of a single NEES, and the chi-square band of as many runs holds for it.
 """
 
-import dataclasses
 import functools
 
 import numpy as np
@@ -33,7 +32,7 @@ def run_nees(estimator, assumed_cov):
         for k in range(STARTS):
             error = np.random.default_rng([seed, k]).multivariate_normal(np.zeros(3), START_COV)
             start = Pose.from_array(ticks[0].truth.array() + error)
-            own = dataclasses.replace(config, estimator=estimator)
+            own = config.replaced(estimator=estimator)
             run = replayed(ticks, own, start=start, start_cov=assumed_cov)
             nees = nees_world(run.poses - run.truths, run.covs)
             rows.append([nees[0], nees.mean()])

@@ -1,7 +1,5 @@
 """Rooms and scans of them, for tests of scan matching."""
 
-import dataclasses
-
 import numpy as np
 
 from sixthsense.config import LaserConfig, preset
@@ -63,7 +61,7 @@ def drive(start, corners, step=0.12, turn=0.12) -> list[Pose]:
 def ticks(poses, walls, seed=0, scale=1.0, drift=0.0, mount=None, laser=None):
     """Ticks of a drive whose wheels are wrong by a scale and by a drift in rad per m."""
     rng, odometry, config = np.random.default_rng(seed), poses[0], laser or preset().laser
-    config = config if mount is None else dataclasses.replace(config, mount=tuple(mount.array()))
+    config = config if mount is None else config.replaced(mount=tuple(mount.array()))
     for k, pose in enumerate(poses):
         if k:
             step = poses[k - 1].inverse() @ pose
