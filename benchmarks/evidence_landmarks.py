@@ -11,7 +11,7 @@
 
 NEES is that of the pose in world coordinates, its mean over the keyframes of each run; the error is that of the mean
 over runs. A wrong match is of another wall or point than the landmark, by the walls that the returns hit
-(`sixthsense.evaluation.matches`).
+(`benchmarks/matches.py`).
 """
 
 from __future__ import annotations

@@ -34,6 +34,8 @@ def headings_in_degrees(poses: Array) -> str:
 
     They wrap by a turn of 360; or the robot goes along them if they are read as degrees, and not as radians.
     """
+    if len(poses) <= _FEWEST:
+        return ""
     steps = np.abs(np.diff(poses[:, 2]))
     turns = int(np.sum(np.abs(steps - 360.0) < 36.0))
     if turns and np.abs(poses[:, 2]).max() <= 364.0:
