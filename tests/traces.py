@@ -18,7 +18,7 @@ from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import STAGES, Trace
 from sixthsense.simulation.scene import Scene
 from sixthsense.simulation.walking_space import ScriptedWalk
-from sixthsense.slam.association.records import Association, MeanShape, Record
+from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
@@ -87,8 +87,7 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.joint_cov = cov_of(rng, 11)
     trace.final = Estimate(pose_of(rng), trace.joint_cov[:3, :3], ids, rng.normal(size=(4, 2)), walls)
     for k, (i, kind) in enumerate(kinds.items()):
-        shape = MeanShape(17 + k, tuple(rng.normal(size=2).tolist()), tuple(rng.normal(size=2).tolist()))
-        trace.records[i] = Record(kind, 3 + k, 30 + k, 50 + k, 0.1 * k or math.inf, rng.normal(size=(2, 2)), shape)
+        trace.records[i] = Record(kind, 3 + k, 30 + k, 50 + k, rng.normal(size=(2, 2)))
     trace.loop_closures = LoopClosureCounts(21, 22, 23)
     trace.links = PoseLinks(np.array([[0, 2], [3, 1]]), np.array(poses_of(rng, 2)), np.array([cov_of(rng)] * 2))
     trace.wheels, trace.sensor = rng.normal(size=(2, 5)), rng.normal(size=(2, 4))

@@ -196,7 +196,7 @@ class PointsConfig(Section):
 class FeaturesConfig(Section):
     """From a scan to walls and landmarks (report section 4.2)."""
 
-    landmarks: Literal["corners", "walls", "both"] = "both"
+    landmarks: Literal["corners", "walls", "both"] = "walls"
     """corners: corners and free ends, as in the report; walls: walls alone; both: walls and free ends (a corner, where
     two walls meet, adds no information to them)."""
     deskew: bool = True
@@ -214,9 +214,6 @@ class AssociationConfig(Section):
     match_gate: Positive = 13.8155
     """Squared Mahalanobis distance of a match, at most, given the other matches: 0.999 of chi-square with 2 degrees of
     freedom. An observation without a match counts as one at the gate."""
-    match_odds: NonNegative = 1000.0
-    """A match of a point is at least this many times likelier than an unknown point there, given the other matches; 0:
-    however likely."""
     new_gate: Positive = 27.631
     """Squared Mahalanobis distance of a new landmark from every known one, at least: 0.999999 of chi-square."""
     new_separation_m: NonNegative = 0.3

@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,15 +34,6 @@ class Kind(enum.IntEnum):
     """A straight wall; the associator keeps its extent."""
 
 
-class WallShape(NamedTuple):
-    """How the returns of a wall deviate from a straight line; offset and direction of the line are no part of it."""
-
-    amplitudes_m: tuple[float, float] = (0.0, 0.0)
-    """of the second and the third Legendre polynomial along what was seen"""
-    variances_m2: tuple[float, float] = (math.inf, math.inf)
-    """of the amplitudes, by the laser's noise; infinite where they are not known"""
-
-
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One landmark as one scan saw it."""
@@ -58,8 +48,6 @@ class Observation:
     bearings: Array = field(default_factory=lambda: _NO_BEARINGS, repr=False, compare=False)
     """(B,) rad in the laser's frame, not wrapped, of the returns that the observation was fitted to; empty where they
     are not known; for evaluation only, not recorded"""
-    shape: WallShape = field(default=WallShape(), repr=False, compare=False)
-    """of a wall; not recorded"""
     sensor: SensorTerms | None = field(default=None, repr=False, compare=False)
     """its dependence on the sensor's parameters, if these are estimated; not recorded"""
 

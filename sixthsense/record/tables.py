@@ -19,7 +19,7 @@ from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.trace import STAGES, Trace
 from sixthsense.simulation.scene import Scene
 from sixthsense.simulation.walking_space import ScriptedWalk
-from sixthsense.slam.association.records import Association, MeanShape, Record
+from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
@@ -110,9 +110,7 @@ def end_arrays(trace: Trace) -> Iterator[tuple[str, NDArray[Any]]]:
             rows_of(
                 landmark=list(trace.records),
                 counts=[(int(one.kind), one.observations, one.first_scan, one.last_scan) for one in records],
-                sigma_m=[one.sigma_m for one in records],
                 extent=[one.extent for one in records],
-                shape=[(one.shape.observations, *one.shape.information, *one.shape.weighted) for one in records],
             ),
         )
     if links is not None:
@@ -178,9 +176,7 @@ def verdict_of(table: Mapping[str, Any]) -> Verdict | None:
 
 def _record(row: Any) -> Record:
     kind, observations, first, last = row["counts"].tolist()
-    count, a, b, c, d = row["shape"].tolist()
-    shape = MeanShape(int(count), (a, b), (c, d))
-    return Record(Kind(kind), observations, first, last, float(row["sigma_m"]), row["extent"].copy(), shape)
+    return Record(Kind(kind), observations, first, last, row["extent"].copy())
 
 
 def scene_table(scene: Scene | None) -> dict[str, Any] | None:

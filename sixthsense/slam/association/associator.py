@@ -1,5 +1,10 @@
 """Data association: which observation is of which landmark, which is new, and which landmarks to forget.
 
+A landmark begins with an observation that is far from all known ones. It is matched while its innovation, given the
+other matches of a keyframe, passes a gate. A wall is merged into an older one that lies in line with it. A landmark is
+forgotten if it is seen too rarely, if more observations that name it contradict it than agree, or if it is of a prior
+map and the map of this run shows its place free.
+
 It serves all estimators and calls only their `estimate` and `joint_covariance`.
 """
 
@@ -12,11 +17,11 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.covariance import SIGNIFICANT, difference_covariance
+from sixthsense.core.covariance import SIGNIFICANT, chi_square_quantile, difference_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.slam.association.matching import Matches, Usual, compare_known, match
-from sixthsense.slam.association.named import Contradictions
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.association.innovations import Compared, Matches, by_estimator, compare_known, match
 from sixthsense.slam.association.observed import (
     Distances,
     Mask,
@@ -28,9 +33,13 @@ from sixthsense.slam.association.observed import (
     joined,
 )
 from sixthsense.slam.association.proposed import ProposedLandmarks
-from sixthsense.slam.association.records import Association, Crookedness, Record, less_certain
-from sixthsense.slam.association.slip import matches_after_slip
-from sixthsense.slam.association.unknown import UnknownPoints
+from sixthsense.slam.association.records import (
+    Association,
+    Crookedness,
+    Record,
+    less_certain,
+    on_lines,
+)
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 
 AreFree = Callable[[Array, float], Mask]
@@ -40,6 +49,14 @@ CULL_PERIOD = 25
 """keyframes between two looks for landmarks to forget: the robot has turned around or left the room"""
 _PARTS = 10
 """of a wall's extent, at whose limits the map is asked"""
+_SLIP_COV = np.diag([0.5, 0.5, 0.25]) ** 2
+"""of a slip, m and rad"""
+_SLIP_PRICE = 27.6
+"""twice the logarithm of how rare slips are, and places where three landmarks lie alike"""
+_ROUNDING_M = 1e-9
+"""by which no extent is moved: one that lies on the edge of a cell stays there"""
+_LEAST = 3
+"""matches that determine a slip, and show whether some are wrong"""
 
 
 def nowhere_free(points: Array, within_m: float) -> Mask:
@@ -67,126 +84,153 @@ class Associator:
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
-        self._unknown = UnknownPoints()
+        self._named_gate = float(chi_square_quantile(config.known_probability, 2))
         self._prior, self._are_free = frozenset(self.records), are_free
-        self._contradictions = Contradictions(config.known_probability)
 
     def associate(
-        self,
-        observations: Sequence[Observation],
-        estimator: Belief,
-        proposed: ProposedLandmarks | None = None,
+        self, observations: Sequence[Observation], estimator: Belief, proposed: ProposedLandmarks | None = None
     ) -> Association:
         """Match observations with landmarks, all at once; what is far from all landmarks is a new one.
 
         The landmarks lie where the estimator has them, or as `proposed`; the NIS is that of the estimator.
         """
         self._scan += 1
-        estimate = estimator.estimate()
         if not observations:
             return Association()
-        for observation in observations:
-            self._crookedness.add(observation.shape)
-        observed = Observed.of(observations)
-        is_point = ~observed.walls
-        points = observed.z[is_point]
-        usual = Usual(self._crookedness.excess, self._unknown.density(points))
-        extents = self._extents(estimate) if proposed is None else proposed.extents
+        observed, estimate, slip = Observed.of(observations), estimator.estimate(), None
+        belief, there = (estimator, estimate) if proposed is None else (proposed, proposed.estimate())
+        records = [self.records[i] for i in there.ids.tolist()]
+        squares = np.array([record.square_m2 for record in records])
+        extents = np.array([record.extent for record in records]) if proposed is None else proposed.extents
 
         def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents, self.records, usual, self._config)
+            return match(observed, belief, estimate, extents.reshape(-1, 2, 2), squares, self._config)
 
-        slip = None
-        if proposed is None:
-            matches, slip = matches_after_slip(at, estimator, estimate, self._config.new_gate)
-        else:
-            matches = at(proposed, proposed.estimate())
-        self._unknown.add(points, matches.landmark[is_point] < 0)
-        if slip is not None:  # extents are where the robot is
-            estimate = replace(estimate, pose=matches.pose)
-        known, pieces = self._seen_again(observations, matches, estimate)
-        nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
-        new, more = self._start_landmarks(observations, observed, np.flatnonzero(matches.is_new).tolist(), estimate)
-        accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
+        matches = at(belief, there)
+        if proposed is None and _shows_slip(matches):
+            matches, slip = _after_slip(at, estimator, estimate, matches)
+        seen, pieces = self._seen_again(observations, matches)
+        compared = matches.compared(seen) if proposed is None else by_estimator(seen, estimator, estimate)
+        self._look(seen, compared, estimate)
+        unmatched = [observations[k] for k in np.flatnonzero(matches.is_new).tolist()]
+        new, more = self._started(unmatched, compared.pose)
+        accepted = {i: less_certain(one, self.records[i]) for i, one in (seen | new).items()}
+        pieces += more
         discarded = len(observations) - len(accepted) - pieces
-        return Association(accepted, discarded, nis, dof, pieces, slip)
+        return Association(accepted, discarded, compared.nis(seen), 2 * len(seen), pieces, slip)
+
+    def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
+        """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
+        self._scan += 1
+        estimate = estimator.estimate()
+        known, misread, nis = set(estimate.ids.tolist()), set(), 0.0
+        old = [i for i in observations if i in known]
+        if old:
+            innovation = compare_known(observations, old, estimate, estimator)
+            kept = np.flatnonzero(np.diag(innovation.squared) <= self._named_gate)
+            misread = set(old) - {old[k] for k in kept}
+            nis = innovation.nis([observations[old[k]] for k in kept], kept)
+        accepted = {i: observation for i, observation in observations.items() if i not in misread}
+        for i in misread:
+            self.records[i].misread += 1
+        for i, observation in accepted.items():
+            record = self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan))
+            record.observations += 1
+            record.last_scan = self._scan
+        return Association(accepted, len(misread), nis, 2 * (len(old) - len(misread)))
+
+    def forgotten(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
+        """Landmarks to forget after an update, whose estimate is given.
+
+        Those of which more observations were misread than not; once a period also those that were seen too rarely, that
+        duplicate an older wall, or are of a prior map and no longer there.
+        """
+        self._move_extents(estimate)
+        gone = [i for i, record in self.records.items() if record.misread > record.observations]
+        if self._scan % CULL_PERIOD == 0:
+            gone += self._rare()
+            gone += self._vanished(estimate)
+        for i in set(gone):
+            del self.records[i]
+        self.culled += len(set(gone))
+        merged = self._merged(estimator, estimate) if self._scan % CULL_PERIOD == 0 else []
+        if self._scan % CULL_PERIOD == 0:
+            self._crookedness.update(self.records.values())
+        return [*dict.fromkeys(gone), *merged]
+
+    def _move_extents(self, estimate: Estimate) -> None:
+        """Move the extents of walls onto their lines as they are estimated now."""
+        kept = np.flatnonzero(estimate.walls & np.isin(estimate.ids, list(self.records)))
+        records = [self.records[i] for i in estimate.ids[kept].tolist()]
+        extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
+        for record, extent in zip(records, on_lines(estimate.landmarks[kept], extents), strict=True):
+            if np.abs(extent - record.extent).max() > _ROUNDING_M:
+                record.extent = extent
 
     def _seen_again(
-        self, observations: Sequence[Observation], matches: Matches, estimate: Estimate
+        self, observations: Sequence[Observation], matches: Matches
     ) -> tuple[dict[LandmarkId, Observation], int]:
         """The observations of known landmarks, and how many further ones were fused with these."""
         known: dict[LandmarkId, Observation] = {}
         for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
             if i >= 0:
                 known[i] = fused(known[i], observation) if i in known else observation
-        pieces = int(np.count_nonzero(matches.landmark >= 0)) - len(known)
+        return known, matches.matched - len(known)
+
+    def _look(self, seen: Mapping[LandmarkId, Observation], compared: Compared, estimate: Estimate) -> None:
+        """Record what was seen of known landmarks, and learn how crooked walls are from those that are seen anew."""
         rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        for i, observation in known.items():
+        for (i, observation), place in zip(seen.items(), compared.places.tolist(), strict=True):
             record = self.records[i]
-            record.observations += 1
-            record.last_scan = self._scan
             if observation.is_wall:
-                known[i] = less_certain(observation, record.shape.square_m2(self._crookedness.excess))
-                record.seen_again(observation, estimate.pose, estimate.landmarks[rows[i]])
-        return known, pieces
-
-    def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
-        """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones.
-
-        Where different landmarks contradict the estimate, and agree with each other, the robot has slipped.
-        """
-        self._scan += 1
-        estimate = estimator.estimate()
-        known = set(estimate.ids.tolist())
-        old = [i for i in observations if i in known]
-        misread: set[LandmarkId] = set()
-        nis, slip = 0.0, None
-        if old:
-            innovation = compare_known(observations, old, estimate, estimator)
-            gates = [self._contradictions.gate(self.records[i]) for i in old]
-            kept = np.flatnonzero(np.diag(innovation.squared) <= gates)
-            misread = set(old) - {old[k] for k in kept}
-            nis = innovation.nis([observations[old[k]] for k in kept], kept)
-            self._contradictions.add({i: observations[i] for i in misread}, estimate, self.records)
-            if len(kept):
-                self._contradictions.agreed()
-            elif found := self._contradictions.slip(estimate, estimator):
-                self._contradictions.explained()
-                slip, misread = found[0], misread - set(found[1])
-        accepted = {i: observation for i, observation in observations.items() if i not in misread}
-        if self._contradictions.is_robot_doubtful:  # what is new would be put into a wrong place
-            accepted = {i: accepted[i] for i in accepted if i in known}
-        for i, observation in accepted.items():
-            record = self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan))
+                stretch = ends(compared.pose, observation)
+                record.extent = joined(estimate.landmarks[rows[i]], record.extent, stretch)
+                if record.look(stretch, self._scan):
+                    self._crookedness.add(record, *compared.innovation(observation, place))
             record.observations += 1
             record.last_scan = self._scan
-        dof = 2 * (len(old) - len(misread)) if slip is None else 0
-        return Association(accepted, len(observations) - len(accepted), nis, dof, slip=slip)
 
-    def nis(self, observations: Mapping[LandmarkId, Observation], estimator: Belief) -> tuple[float, int]:
-        """Normalised innovation squared of all observations, and its degrees of freedom; new landmarks left out."""
-        estimate = estimator.estimate()
-        known = set(estimate.ids.tolist())
-        old = [i for i in observations if i in known]
-        if not old:
-            return 0.0, 0
-        innovation = compare_known(observations, old, estimate, estimator)
-        return innovation.nis([observations[i] for i in old], np.arange(len(old))), 2 * len(old)
+    def _started(self, observations: Sequence[Observation], here: Pose) -> tuple[dict[LandmarkId, Observation], int]:
+        """New landmarks seen from the pose `here`, and how many observations were fused with another one of these.
 
-    def forgotten(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
-        """Landmarks to forget after an update, whose estimate is given; looked for once a period.
-
-        They were seen too rarely, duplicate an older wall, or are of a prior map and no longer there.
+        One scan may show a wall's end from both sides, or a wall in two pieces: that is one landmark. Of two walls of a
+        scan that contradict each other both are started: the returns of each are straight.
         """
-        disproved = self._contradictions.disproved(self.records)
-        for i in disproved:
-            del self.records[i]
-        self.culled += len(disproved)
-        if self._scan % CULL_PERIOD:
-            return disproved
-        culled = self._culled()
-        merged = self._merged(estimator, estimate)
-        return [*disproved, *culled, *merged, *self._vanished(estimate)]
+        new: dict[LandmarkId, Observation] = {}
+        pieces = 0
+        for observation in observations:
+            twin = next((i for i, other in new.items() if self._are_one(observation, other)), None)
+            if twin is None:
+                record = Record(observation.kind, 1, self._scan, self._scan)
+                record.square_m2 = self._crookedness.square_m2(record)
+                self.records[self._next_id] = record
+                new[self._next_id] = observation
+                self._next_id += 1
+            elif observation.is_wall:
+                new[twin] = fused(new[twin], observation)
+                pieces += 1
+        for i, observation in new.items():
+            if observation.is_wall:
+                self.records[i].extent = self.records[i].stretch = ends(here, observation)
+        return new, pieces
+
+    def _are_one(self, one: Observation, other: Observation) -> bool:
+        """Whether two observations of one scan, neither of a known landmark, are of one landmark."""
+        if one.is_wall != other.is_wall:
+            return False
+        if not one.is_wall:
+            return math.dist(one.z, other.z) <= self._config.new_separation_m
+        here, wall = Pose(), np.ones(1, dtype=bool)
+        extent = ends(here, other)[None]
+        distances = Distances.between(ends(here, one)[None], one.z[:1], wall, other.z[None], wall, extent)
+        if distances.apart(self._config)[0, 0]:
+            return False
+        return disagreement(one.z, other.z, one.cov + other.cov) <= self._config.match_gate
+
+    def _rare(self) -> list[LandmarkId]:
+        """Landmarks that were seen too rarely a period after their first observation (report: bad landmarks)."""
+        least, before = self._config.cull_below, self._scan - CULL_PERIOD
+        return [i for i, record in self.records.items() if record.observations < least and record.first_scan <= before]
 
     def _vanished(self, estimate: Estimate) -> list[LandmarkId]:
         """Landmarks of a prior map that were not seen for a period, where the map shows the most of them free."""
@@ -198,23 +242,8 @@ class Associator:
                 continue
             places = np.linspace(record.extent[0], record.extent[1], _PARTS + 1) if is_wall else landmark[None]
             if np.mean(self._are_free(places, within_m)) > 0.5:
-                del self.records[i]
                 gone.append(i)
-        self.culled += len(gone)
         return gone
-
-    def _culled(self) -> list[LandmarkId]:
-        """Landmarks that were seen too rarely a period after their first observation (report: bad landmarks)."""
-        config = self._config
-        bad = [
-            i
-            for i, record in self.records.items()
-            if record.observations < config.cull_below and self._scan - record.first_scan >= CULL_PERIOD
-        ]
-        for i in bad:
-            del self.records[i]
-        self.culled += len(bad)
-        return bad
 
     def _merged(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
         """Walls that duplicate an older wall.
@@ -222,7 +251,7 @@ class Associator:
         Two walls are one when they lie in line, without a gap, and their difference passes the gate of a match. The
         younger wall's information about the poses stays in the estimate; that both are one is not added to it.
         """
-        kept = estimate.walls & np.isin(estimate.ids, list(self.records))  # some may just have been culled
+        kept = estimate.walls & np.isin(estimate.ids, list(self.records))  # some may just have been forgotten
         ids, walls = estimate.ids[kept].tolist(), estimate.landmarks[kept]
         records = [self.records[i] for i in ids]
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
@@ -242,51 +271,41 @@ class Associator:
         self.walls_merged += len(gone)
         return gone
 
-    def _extents(self, estimate: Estimate) -> Array:
-        """(n, 2, 2) ends of the landmarks that are walls, world frame."""
-        return np.array([self.records[i].extent for i in estimate.ids.tolist()]).reshape(-1, 2, 2)
 
-    def _start_landmarks(
-        self, observations: Sequence[Observation], observed: Observed, unmatched: list[int], estimate: Estimate
-    ) -> tuple[dict[LandmarkId, Observation], int]:
-        """New landmarks of the observations at `unmatched`, and how many further observations were fused with these.
+def _shows_slip(matches: Matches) -> bool:
+    """Whether a scan shows landmarks, and hardly one of them where it is believed to be."""
+    shown = len(matches.landmark)
+    neither = shown - matches.matched - int(np.count_nonzero(matches.is_new))
+    return shown >= _LEAST and (matches.matched < _LEAST - 1 or 2 * neither > shown)
 
-        `observed` are the arrays of all observations.
-        """
-        new: dict[LandmarkId, Observation] = {}
-        pieces = 0
-        if not unmatched:
-            return new, pieces
-        sigmas = observed.sigmas_m(estimate.pose_cov)
-        for k in unmatched:
-            observation = observations[k]
-            # One scan may show a wall's end from both sides, or a wall in two pieces: that is one landmark. Of two
-            # walls of a scan that contradict each other both are taken: the returns of each are straight.
-            twin = next((i for i, other in new.items() if self._are_one(observation, other)), None)
-            if twin is None:
-                record = Record(observation.kind, 1, self._scan, self._scan, float(sigmas[k]))
-                new[self._next_id], self.records[self._next_id] = observation, record
-                self._next_id += 1
-            elif observation.is_wall:
-                new[twin] = fused(new[twin], observation)
-                pieces += 1
-        for i, observation in new.items():
-            record = self.records[i]
-            record.shape.add(observation.shape)
-            if observation.is_wall:
-                record.extent = ends(estimate.pose, observation)
-        excess = self._crookedness.excess
-        return {i: less_certain(seen, self.records[i].shape.square_m2(excess)) for i, seen in new.items()}, pieces
 
-    def _are_one(self, one: Observation, other: Observation) -> bool:
-        """Whether two observations of one scan, neither of a known landmark, are of one landmark."""
-        if one.is_wall != other.is_wall:
-            return False
-        if not one.is_wall:
-            return math.dist(one.z, other.z) <= self._config.new_separation_m
-        here, wall = Pose(), np.ones(1, dtype=bool)
-        extent = ends(here, other)[None]
-        distances = Distances.between(ends(here, one)[None], one.z[:1], wall, other.z[None], wall, extent)
-        if distances.apart(self._config)[0, 0]:
-            return False
-        return disagreement(one.z, other.z, one.cov + other.cov) <= self._config.match_gate
+def _after_slip(
+    at: Callable[[Belief, Estimate], Matches], belief: Belief, estimate: Estimate, here: Matches
+) -> tuple[Matches, Odometry | None]:
+    """The matches after a slip, and the slip, if they are worth more than those `here`; else these.
+
+    Wheels slip, and a robot is pushed. Then the matches are chosen once more, `at` the same pose with the covariance of
+    a slip added. The squared innovation of all matches together includes the squared distance of the slip.
+    """
+    slipped = _Slipped(belief, estimate)
+    found = at(slipped, slipped.estimate())
+    if found.matched < _LEAST or found.worth - _SLIP_PRICE <= here.worth:
+        return here, None
+    return found, Odometry(estimate.pose.inverse() @ found.pose, _SLIP_COV)
+
+
+class _Slipped:
+    """A belief whose robot may have slipped."""
+
+    def __init__(self, belief: Belief, estimate: Estimate) -> None:
+        self._belief, self._estimate = belief, replace(estimate, pose_cov=estimate.pose_cov + _SLIP_COV)
+
+    def estimate(self) -> Estimate:
+        """The present pose with its covariance, and the landmarks' means."""
+        return self._estimate
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
+        joint = self._belief.joint_covariance(ids)
+        joint[:3, :3] += _SLIP_COV
+        return joint

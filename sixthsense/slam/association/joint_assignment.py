@@ -125,42 +125,6 @@ def squared_given(pairs: Pairs, asked: Mask, matched: Indices) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def likely_matches(pairs: Pairs, matched: Indices, least: Array) -> Indices:
-    """(m,) the matches of (m,) without those that are not likely enough; -1: none.
-
-    A match stays if the logarithm of the density of its observation, given the other matches, is at least `least` (k,)
-    of its landmark. The one that lacks most goes first, since the others are then judged without it.
-    """
-    kept = matched.copy()
-    while True:
-        most, worst = 0.0, -1
-        for i in range(len(kept)):
-            if kept[i] >= 0 and least[kept[i]] > -np.inf:
-                lacking = least[kept[i]] - _log_density(pairs, kept, i)
-                if lacking > most:
-                    most, worst = lacking, i
-        if worst < 0:
-            return kept
-        kept[worst] = -1
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _log_density(pairs: Pairs, matched: Indices, i: int) -> float:
-    """Logarithm of the density of the innovation of match `i`, per unit of both its components, given the others."""
-    most = len(matched)
-    matches, chain = _empty(most, 2 * most), np.arange(most)
-    row, own = np.empty((2, 2 * most + 2)), np.empty(2)
-    n = 0
-    for other in range(most):
-        if matched[other] >= 0 and other != i:
-            _extend(pairs, other, matched[other], matches, chain[:n], row, own)
-            _keep(matches, n, matched[other], n, row, own)
-            n += 1
-    squared = _extend(pairs, i, matched[i], matches, chain[:n], row, own)
-    return float(-0.5 * squared - np.log(2.0 * np.pi * row[0, 2 * n] * row[1, 2 * n + 1]))
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _empty(count: int, columns: int) -> _Matches:
     return _Matches(np.empty(count, np.int64), np.empty((count, 2, columns)), np.empty((count, 2)))
 

@@ -24,6 +24,8 @@ Mask = NDArray[np.bool_]
 
 _PARALLEL_RAD = 0.15
 """between two walls: always plausible below"""
+_LANDMARK_M = 0.3
+"""sigma of a point that is less certain than its observation"""
 WALL_GAP_M = 0.05
 """between what was seen of collinear walls that may be one: narrower than a door, wider than the noise of their ends"""
 
@@ -84,19 +86,16 @@ class Distances(NamedTuple):
         _distances(ends, alphas, is_wall, landmarks, landmark_is_wall, extents, out)
         return cls(out[0], out[1], out[2], np.hypot(*(ends[:, 1] - ends[:, 0]).T))
 
-    def plausible(self, sigmas: Array, known: Array, heading_sigma: float, cfg: AssociationConfig) -> Mask:
+    def plausible(self, sigmas: Array, heading_sigma: float, cfg: AssociationConfig) -> Mask:
         """(m, n) pairs that are near enough for a gate on the innovation.
 
-        `sigmas` (m,) of the observations in the world and `known` (n,) of the landmarks are upper bounds, m;
-        `heading_sigma` of the pose, rad. The sigma of a difference is at most the sum of both sigmas, however they are
-        correlated, so a point that is left out could not pass a gate. The factor of 2 allows for sigmas that grow when
-        the smoother relinearizes.
+        `sigmas` (m,) of the observations in the world are upper bounds, m; `heading_sigma` of the pose, rad. A landmark
+        is assumed to be at least as certain relative to the robot as an observation is in the world, or to 0.3 m.
         """
         widest = math.sqrt(max(cfg.match_gate, cfg.new_gate))
         turn = max(widest * heading_sigma, _PARALLEL_RAD)
-        of_walls = np.maximum(widest * sigmas, cfg.new_separation_m)[:, None]
-        of_points = widest * (sigmas[:, None] + 2.0 * known)
-        near = self.metres < np.where(self.length_m[:, None] > 0.0, of_walls, of_points)
+        of_walls, of_points = np.maximum(widest * sigmas, cfg.new_separation_m), widest * (sigmas + _LANDMARK_M)
+        near = self.metres < np.where(self.length_m > 0.0, of_walls, of_points)[:, None]
         return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < WALL_GAP_M))
 
     def apart(self, cfg: AssociationConfig) -> Mask:
@@ -212,4 +211,4 @@ def fused(first: Observation, second: Observation) -> Observation:
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
     bearings = np.concatenate([first.bearings, second.bearings])
-    return Observation(first.kind, z, 0.5 * (cov + cov.T), extent, bearings, first.shape)
+    return Observation(first.kind, z, 0.5 * (cov + cov.T), extent, bearings)

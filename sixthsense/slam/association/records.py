@@ -1,114 +1,35 @@
-"""What the association says of one keyframe, what it keeps of each landmark, and how crooked walls are.
+"""What the association returns for one keyframe, what it keeps of each landmark, and what it learns of a building.
 
-A bend that the returns of one scan do not show turns the fitted line by several of its sigmas. The shape of a wall does
-not depend on where the robot is, so that it is averaged over all observations of a landmark. A line that is fitted to
-another part of a crooked wall differs from the landmark by about as much as the wall deviates from the line.
+A wall that is not straight differs from stretch to stretch from the line that was fitted before. The variance of that
+difference is learned for each wall from its own innovations, with the mean of all walls of the building as its prior.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
 
-from sixthsense.core.covariance import SIGNIFICANT, mean_square_limit
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation, WallShape
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmark_kernels import line_ends
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.observed import ends, joined
 
-MEMORY = 500.0
-"""observations over which the shape of walls is averaged"""
 _TILT = 3.0
 """variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
-_LARGEST = 25.0
-"""of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
-
-
-class Crookedness:
-    """How crooked walls are here, in the mean: the shapes of single observations against the laser's noise."""
-
-    def __init__(self) -> None:
-        self._counts = [0.0, 0.0]
-        self._squares = [0.0, 0.0]
-
-    def add(self, shape: WallShape) -> None:
-        """Take the shape of an observation; older ones are forgotten gradually."""
-        for k, (c, var) in enumerate(zip(shape.amplitudes_m, shape.variances_m2, strict=True)):
-            if math.isfinite(var):
-                keep = 1.0 - 1.0 / MEMORY
-                self._counts[k] = keep * self._counts[k] + 1.0
-                self._squares[k] = keep * self._squares[k] + min(c * c / var, _LARGEST)
-
-    @property
-    def excess(self) -> tuple[float, float]:
-        """Variances of both amplitudes of an unknown wall over those of the laser's noise; 0: straight."""
-        first, second = (
-            max(0.0, square / count - mean_square_limit(count)) if count >= 1.0 else 0.0
-            for square, count in zip(self._squares, self._counts, strict=True)
-        )
-        return first, second
-
-
-@dataclass(slots=True)
-class MeanShape:
-    """The mean shape of a wall over its observations."""
-
-    observations: int = 0
-    information: tuple[float, float] = (0.0, 0.0)
-    """of the two amplitudes, 1 / m^2"""
-    weighted: tuple[float, float] = (0.0, 0.0)
-    """sums of the amplitudes over their variances, 1 / m"""
-
-    def add(self, shape: WallShape) -> None:
-        """Take the shape of another observation."""
-        weights = [1.0 / var for var in shape.variances_m2]
-        first, second = (w * c for w, c in zip(weights, shape.amplitudes_m, strict=True))
-        self.observations += 1
-        self.weighted = (self.weighted[0] + first, self.weighted[1] + second)
-        self.information = (self.information[0] + weights[0], self.information[1] + weights[1])
-
-    def square_m2(self, excess: tuple[float, float]) -> float:
-        """Mean square of the deviation from a straight wall.
-
-        Before the wall is seen an amplitude is normal with a variance of `excess` times that of a single observation;
-        its mean over the observations tells the rest. A mean that is significant counts wherever walls are straight
-        otherwise.
-        """
-        total = 0.0
-        for information, weighted, prior_ratio in zip(self.information, self.weighted, excess, strict=True):
-            if information > 0.0:
-                mean_sq, var = (weighted / information) ** 2, 1.0 / information
-                prior = prior_ratio * self.observations * var
-                share = prior / (prior + var)
-                expected = share * share * mean_sq + share * var
-                total += max(expected, mean_sq - SIGNIFICANT**2 * var)
-        return total
-
-
-def less_certain(observation: Observation, square_m2: float) -> Observation:
-    """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
-    if square_m2 == 0.0 or not observation.is_wall:
-        return observation
-    return replace(observation, cov=observation.cov + square_m2 * unit_cov(*observation.extent, True))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def unit_cov(first: float, last: float, is_wall: bool) -> Array:
-    """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle.
-
-    The wall reaches from `first` to `last` along it, m; a point is off by as much along any axis.
-    """
-    cov = np.eye(2)
-    if is_wall:
-        middle, of_tilt = 0.5 * (first + last), 4.0 * _TILT / (last - first) ** 2
-        cov[0, 0] = of_tilt
-        cov[0, 1] = cov[1, 0] = middle * of_tilt
-        cov[1, 1] = 1.0 + middle * middle * of_tilt
-    return cov
+SQUARES_M2 = 1e-6 * np.array([0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])
+"""(8,) variances, m^2, among which that of a wall is: none, and sigmas of 1 to 8 mm"""
+_STRAIGHT, _ANY = 5.0, 0.002
+"""walls without any deviation, and with one of any size, that the prior of a building begins with"""
+_ALIKE = 0.2
+"""share of what was seen of a wall that two looks have in common, above which their errors are the same"""
+_PAUSE = 25
+"""keyframes without a look, after which the next one is from elsewhere"""
+_MOST_LOOKS = 16
+"""with the same error that make an observation less certain: the robot has moved on then, if by less than a stretch"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,14 +62,132 @@ class Record:
     """keyframe of its first observation"""
     last_scan: int
     """keyframe of its last observation"""
-    sigma_m: float = math.inf
-    """upper bound of a point's sigma along any direction, when it was last compared"""
     extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
-    """(2, 2) ends of what was seen of a wall, world frame; unused for a point"""
-    shape: MeanShape = field(default_factory=MeanShape)
-    """of a wall"""
+    """(2, 2) ends of what was seen of a wall, world frame, on its line as estimated; unused for a point"""
+    log_likelihoods: Array = field(default_factory=lambda: np.zeros(len(SQUARES_M2)), repr=False, compare=False)
+    """(8,) of each of `SQUARES_M2`, by the innovations of this wall; not recorded"""
+    square_m2: float = field(default=0.0, compare=False)
+    """posterior mean of the variance of a wall's deviation from a straight one; not recorded"""
+    looks: int = field(default=1, compare=False)
+    """at the stretch of the wall that is in view, from the first one on, `stretch`; not recorded"""
+    stretch: Array = field(default_factory=lambda: np.zeros((2, 2)), repr=False, compare=False)
+    """(2, 2) ends of what was seen of a wall then, world frame; not recorded"""
+    misread: int = field(default=0, compare=False)
+    """observations that named this landmark, and contradicted it; not recorded"""
 
-    def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> None:
-        """Record an observation of this wall (2,) from `pose`."""
-        self.shape.add(observation.shape)
-        self.extent = joined(wall, self.extent, ends(pose, observation))
+    def look(self, ends: Array, scan: int) -> bool:
+        """Count a look at the `ends` (2, 2) of a wall, world frame; whether it is at another stretch than before."""
+        is_anew = scan - self.last_scan > _PAUSE or _overlap(self.stretch, ends) < _ALIKE
+        self.looks = 1 if is_anew else min(self.looks + 1, _MOST_LOOKS)
+        if is_anew:
+            self.stretch = ends
+        return is_anew
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _overlap(before: Array, now: Array) -> float:
+    """Intersection over union of two stretches with the ends (2, 2) each, along the second."""
+    x, y = now[1, 0] - now[0, 0], now[1, 1] - now[0, 1]
+    a, b = before[0, 0] * x + before[0, 1] * y, before[1, 0] * x + before[1, 1] * y
+    c, d = now[0, 0] * x + now[0, 1] * y, now[1, 0] * x + now[1, 1] * y
+    either = max(a, b, c, d) - min(a, b, c, d)
+    return max(0.0, min(max(a, b), max(c, d)) - max(min(a, b), min(c, d))) / either if either > 0.0 else 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def on_lines(walls: Array, extents: Array) -> Array:
+    """(n, 2, 2) extents moved onto the lines of walls (n, 2): a wall takes its extent along as its estimate moves.
+
+    The length stays, and the middle moves along the normal: an estimate does not say how far a wall moved along itself.
+    """
+    out = np.empty_like(extents)
+    for k in range(len(walls)):
+        c, s = math.cos(walls[k, 0]), math.sin(walls[k, 0])
+        (x, y), (other_x, other_y) = extents[k, 0], extents[k, 1]
+        along, half = 0.5 * (c * (y + other_y) - s * (x + other_x)), 0.5 * math.hypot(other_x - x, other_y - y)
+        if c * (other_y - y) - s * (other_x - x) < 0.0:
+            half = -half
+        ends = line_ends(walls[k], along - half, along + half)
+        for end in range(2):
+            out[k, end, 0], out[k, end, 1] = ends[end, 0], ends[end, 1]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def unit_cov(first: float, last: float, is_wall: bool) -> Array:
+    """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle.
+
+    The wall reaches from `first` to `last` along it, m; a point is off by as much along any axis.
+    """
+    cov = np.eye(2)
+    if is_wall:
+        middle, of_tilt = 0.5 * (first + last), 4.0 * _TILT / (last - first) ** 2
+        cov[0, 0] = of_tilt
+        cov[0, 1] = cov[1, 0] = middle * of_tilt
+        cov[1, 1] = 1.0 + middle * middle * of_tilt
+    return cov
+
+
+class Crookedness:
+    """How far walls deviate from straight ones: the posterior mean of one variance per wall.
+
+    The prior of a wall is the mean posterior of all walls of the building, which begin as straight ones.
+    """
+
+    def __init__(self) -> None:
+        self._log_prior = self._mean_of(np.zeros((0, len(SQUARES_M2))))
+
+    def add(self, record: Record, value: Array, cov: Array, unit: Array) -> None:
+        """Record the innovation (2,) of a wall, its covariance (2, 2) were it straight, and what 1 m^2 adds to that."""
+        record.log_likelihoods += _log_densities(value, cov, unit)
+        record.square_m2 = self.square_m2(record)
+
+    def update(self, records: Collection[Record]) -> None:
+        """Compute the prior anew from all walls among the `records`, and their variances."""
+        walls = [record for record in records if record.kind == Kind.WALL]
+        self._log_prior = self._mean_of(
+            np.array([self._posterior(record) for record in walls]).reshape(-1, len(SQUARES_M2))
+        )
+        for record in walls:
+            record.square_m2 = self.square_m2(record)
+
+    def square_m2(self, record: Record) -> float:
+        """Posterior mean of the variance of a wall, m^2; zero of a point."""
+        return float(self._posterior(record) @ SQUARES_M2) if record.kind == Kind.WALL else 0.0
+
+    def _posterior(self, record: Record) -> Array:
+        weights = self._log_prior + record.log_likelihoods
+        weights = np.exp(weights - weights.max())
+        return np.asarray(weights / weights.sum())
+
+    @staticmethod
+    def _mean_of(posteriors: Array) -> Array:
+        """(8,) logarithm of the mean of posteriors (n, 8) of walls, of some straight ones, and of one of any size."""
+        total = posteriors.sum(axis=0) + _ANY / len(SQUARES_M2)
+        total[0] += _STRAIGHT
+        return np.asarray(np.log(total / total.sum()))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _log_densities(value: Array, cov: Array, unit: Array) -> Array:
+    """(8,) log densities of an innovation (2,) for each of `SQUARES_M2`."""
+    out = np.empty(len(SQUARES_M2))
+    for k in range(len(SQUARES_M2)):
+        a, b = cov[0, 0] + SQUARES_M2[k] * unit[0, 0], cov[0, 1] + SQUARES_M2[k] * unit[0, 1]
+        d = cov[1, 1] + SQUARES_M2[k] * unit[1, 1]
+        det = a * d - b * b
+        squared = (value[0] ** 2 * d - 2.0 * value[0] * value[1] * b + value[1] ** 2 * a) / det
+        out[k] = -0.5 * (squared + math.log(det))
+    return out
+
+
+def less_certain(observation: Observation, record: Record) -> Observation:
+    """The observation of a wall with the error of its shape, which stays while the same stretch is seen.
+
+    Where it were all of the error, n looks would determine the wall by 1 / n times the variance of one. They are given
+    2 k - 1 times that variance, for the look k: together they determine it hardly better than one.
+    """
+    if record.square_m2 == 0.0:
+        return observation
+    cov = (2 * record.looks - 1) * record.square_m2 * unit_cov(*observation.extent, True)
+    return replace(observation, cov=observation.cov + cov)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, Observation, WallShape
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import variance
 from sixthsense.core.se2 import Triple, wrapped
@@ -179,7 +179,7 @@ def _points_from(found: Array, mount: Triple, floor: float, most: float) -> tupl
 def _wall_observations(
     walls: Array, bearings: Sequence[Array], mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
 ) -> list[Observation]:
-    """Observations in the robot's frame of walls (W, 11) in the laser's frame; their normals point towards the laser.
+    """Observations in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser.
 
     `bearings` holds those of the returns of each wall.
     """
@@ -189,7 +189,7 @@ def _wall_observations(
     for k, own in enumerate(bearings):
         if walls[k, 2] <= _MAX_WALL_SIGMA_RAD**2:
             extent = float(extents[k, 0]), float(extents[k, 1])
-            observations.append(Observation(Kind.WALL, z[k], cov[k], extent, own, _as_shape(walls[k, 7:].tolist())))
+            observations.append(Observation(Kind.WALL, z[k], cov[k], extent, own))
     return observations
 
 
@@ -217,12 +217,6 @@ def _walls_from(walls: Array, mount: Triple, floors: tuple[float, float]) -> tup
         cov[k, 1, 0], cov[k, 1, 1] = mixed, lever * lever * aa - 2.0 * lever * ad + dd
         extents[k, 0], extents[k, 1] = lever - high, lever - low
     return z, cov, extents
-
-
-def _as_shape(deviation: list[float]) -> WallShape:
-    """Amplitudes and variances of a wall's shape; the normal of the observation points the other way."""
-    c2, c3, v2, v3 = deviation
-    return WallShape((-c2, c3), (v2, v3))
 
 
 def _clip(points: Array, lines: FittedLines) -> Array:

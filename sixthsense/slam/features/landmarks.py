@@ -28,7 +28,7 @@ from sixthsense.slam.features.endpoints import (
     mark_free_ends,
     mean_spacing,
 )
-from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line, shape
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
 from sixthsense.slam.features.lines import FittedLines
 from sixthsense.slam.features.partition import Indices
 
@@ -162,7 +162,7 @@ def find_walls(
     A free end takes the last `END_RETURNS` on its side. Its wall takes all others, except those near a corner and, on a
     side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that of
     its wall. Walls shorter than `_MIN_LENGTH_M` are left out.
-    Returns (W, 11) alpha, d, aa, ad, dd, the first and last place along the wall that was seen, and its `shape`; (E, 5)
+    Returns (W, 7) alpha, d, aa, ad, dd, and the first and last place along the wall that was seen; (E, 5)
     x, y, xx, xy, yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall
     (W, 2) and of each free end (E, 2).
     """
@@ -173,7 +173,7 @@ def find_walls(
     if rules.ends:
         mark_free_ends(scan, lines, rules, ends)
     points = scan.points
-    walls, found = np.empty((count, 11)), np.empty((2 * count, 5))
+    walls, found = np.empty((count, 7)), np.empty((2 * count, 5))
     used = np.empty(len(lines.owner), np.int64)
     of_walls, of_ends = np.empty((count, 2), np.int64), np.empty((2 * count, 2), np.int64)
     w = e = u = 0
@@ -206,7 +206,6 @@ def find_walls(
         if abs(b - a) >= _MIN_LENGTH_M:
             _write(walls[w], 0, fit)
             walls[w, 5], walls[w, 6] = min(a, b), max(a, b)
-            _write(walls[w], 7, shape(points, owned, fit, sigmas))
             _write(used, u, owned)
             of_walls[w, 0], of_walls[w, 1] = u, u + len(owned)
             u += len(owned)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from sixthsense.slam.association.innovations import Innovations, _penalties
 from sixthsense.slam.association.joint_assignment import Pairs, best_matches, squared_given
-from sixthsense.slam.association.matching import Innovations, _penalties
 
 GATE = 13.8
 FACES = 0.05 * np.arange(5)

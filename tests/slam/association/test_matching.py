@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmark_kernels import innovations_of, predictions, stacked
 from sixthsense.core.landmarks import Kind, Observation
-from sixthsense.slam.association.matching import compare
+from sixthsense.slam.association.innovations import compare
 from sixthsense.slam.association.observed import Observed
 from sixthsense.slam.association.records import unit_cov
 from sixthsense.slam.estimators.base import Estimate

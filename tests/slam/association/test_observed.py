@@ -4,20 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, WallShape, line_point
-from sixthsense.slam.association.matching import compare
+from sixthsense.core.landmarks import Kind, Observation, line_point
+from sixthsense.slam.association.innovations import compare
 from sixthsense.slam.association.observed import Distances, Observed, collinear_pairs, ends, joined
-from sixthsense.slam.association.records import (
-    Crookedness,
-    MeanShape,
-    Record,
-    less_certain,
-    unit_cov,
-)
+from sixthsense.slam.association.records import Record, less_certain, unit_cov
 from sixthsense.slam.estimators.base import Estimate
 
 CONFIG = AssociationConfig(new_separation_m=0.45)
@@ -55,8 +48,8 @@ def test_distances_from_landmarks_and_what_they_allow_are_those_of_plain_geometr
     rng = np.random.default_rng(seed)
     seen, estimate, extents = seen_and_known(rng, 9)
     found = Distances.at(POSE, Observed.of(seen), estimate, extents)
-    sigmas, known = rng.uniform(0.02, 0.3, 9), rng.uniform(0.02, 0.1, 9)
-    plausible, apart = found.plausible(sigmas, known, 0.05, CONFIG), found.apart(CONFIG)
+    sigmas = rng.uniform(0.02, 0.3, 9)
+    plausible, apart = found.plausible(sigmas, 0.05, CONFIG), found.apart(CONFIG)
     widest = math.sqrt(max(CONFIG.match_gate, CONFIG.new_gate))
     for i, one in enumerate(seen):
         points = POSE @ np.array([line_point(one.z, place) for place in one.extent])
@@ -66,7 +59,7 @@ def test_distances_from_landmarks_and_what_they_allow_are_those_of_plain_geometr
                 assert found.metres[i, j] == math.inf and apart[i, j] and not plausible[i, j]
                 continue
             away, turn, gap = math.dist(POSE @ one.z, landmark), 0.0, -math.inf
-            limit = widest * (sigmas[i] + 2.0 * known[j])
+            limit = widest * (sigmas[i] + 0.3)
             if one.is_wall:
                 normal = np.array([math.cos(landmark[0]), math.sin(landmark[0])])
                 along = np.array([-normal[1], normal[0]])
@@ -117,45 +110,9 @@ def test_a_crooked_wall_is_uncertain_by_its_mean_square_and_a_tilt_of_thrice_tha
         across = np.array([-place, 1.0])
         assert across @ cov @ across == pytest.approx(1.0 + 3.0 * ((place - 1.6) / 1.2) ** 2)
     wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.diag([0.01, 0.02]), (0.4, 2.8))
-    assert less_certain(wall, 0.003).cov == pytest.approx(wall.cov + 0.003 * cov)
+    record = Record(Kind.WALL, 3, 0, 0, square_m2=0.003, looks=2)
+    assert less_certain(wall, record).cov == pytest.approx(wall.cov + 3 * 0.003 * cov)
     np.testing.assert_array_equal(unit_cov(0.4, 2.8, False), np.eye(2))  # a point is off along any axis
-
-
-def test_the_mean_shape_of_a_wall_is_what_its_observations_and_other_walls_tell():
-    shape = MeanShape()
-    shape.add(WallShape((0.03, -0.01), (4e-4, 9e-4)))
-    shape.add(WallShape((0.05, 0.02), (1e-4, 3e-4)))
-    means, variances = (0.046, 0.0125), (8e-5, 2.25e-4)  # weighted with 2,500 and 10,000, 1111.1 and 3333.3 per m^2
-    expected = 0.0
-    for k, excess in enumerate((0.8, 1.7)):
-        prior = 2 * excess * variances[k]
-        posterior = 1.0 / (1.0 / prior + 1.0 / variances[k])
-        expected += max((posterior / variances[k] * means[k]) ** 2 + posterior, means[k] ** 2 - 9.0 * variances[k])
-    assert shape.square_m2((0.8, 1.7)) == pytest.approx(expected)
-    assert shape.square_m2((0.0, 0.0)) == pytest.approx(0.046**2 - 9.0 * 8e-5)  # significant for the first alone
-
-
-def test_walls_are_crooked_by_what_exceeds_the_mean_square_of_noise():
-    for count in (5, 60):
-        crookedness, keep, amplitude = Crookedness(), 1.0 - 1.0 / 500.0, 0.03
-        for _ in range(count):
-            crookedness.add(WallShape((amplitude, 0.4), (1e-4, 1e-4)))
-        counted = (1.0 - keep**count) / (1.0 - keep)
-        limit = stats.chi2.ppf(stats.norm.cdf(3.0), counted) / counted
-        assert crookedness.excess == pytest.approx((max(9.0 - limit, 0.0), 25.0 - limit), rel=0.01)
-    crookedness.add(WallShape())
-    assert crookedness.excess[1] == pytest.approx(25.0 - limit, rel=0.01)
-    assert Crookedness().excess == (0.0, 0.0)
-
-
-def test_the_extent_of_a_wall_that_is_seen_again_reaches_as_far_as_both_observations():
-    landmark = np.array([wrap_angle(0.4 + POSE.theta), 0.0])
-    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8))
-    landmark[1] = ends(POSE, wall)[0] @ [math.cos(landmark[0]), math.sin(landmark[0])]
-    record = Record(Kind.WALL, 1, 1, 1, extent=ends(POSE, wall))
-    record.seen_again(Observation(Kind.WALL, wall.z, np.eye(2), (0.3, 2.0)), POSE, landmark)
-    whole = [POSE @ line_point(wall.z, place) for place in (-0.5, 2.0)]
-    assert sorted(record.extent.tolist()) == pytest.approx(np.array(sorted(whole, key=tuple)))
 
 
 def test_matches_are_worth_the_gate_for_each_less_their_squared_innovation_together():

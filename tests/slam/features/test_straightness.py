@@ -1,4 +1,4 @@
-"""Lines are cut where they are not straight, and what is left of their shape is measured."""
+"""Lines are cut where they are not straight."""
 
 import math
 
@@ -9,7 +9,7 @@ from scanned import look
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.slam.features import extract
-from sixthsense.slam.features.line_fit import LaserSigmas, across_line, cut_gains, fit_line, shape, straight_pieces
+from sixthsense.slam.features.line_fit import LaserSigmas, across_line, cut_gains, fit_line, straight_pieces
 
 SIGMAS = LaserSigmas(0.01, 0.001)
 BEARINGS = np.radians(np.arange(-60.0, 60.0, 1.5))
@@ -108,30 +108,6 @@ def test_two_faces_five_centimetres_apart_are_two_landmarks():
         near, far = sorted(-s.z[1] for s in walls_observed(walls, config, rng))
         assert near == pytest.approx(2.0, abs=0.015)
         assert far == pytest.approx(2.05, abs=0.015)
-
-
-def test_the_shape_of_a_wall_is_the_least_squares_fit_of_two_polynomials():
-    points = bent(np.random.default_rng(6), 2.0)
-    line = fit_line(points, ALL, SIGMAS)
-    off, arm, weights = weighted(points, ALL, line, SIGMAS)
-    u = (arm - 0.5 * (arm[0] + arm[-1])) / (0.5 * (arm[-1] - arm[0]))
-    columns = np.polynomial.legendre.legvander(u, 3)
-    cov = np.linalg.inv(columns.T @ (weights[:, None] * columns))
-    amplitudes = cov @ columns.T @ (weights * off)
-    expected = [*amplitudes[2:], cov[2, 2], cov[3, 3]]
-    assert shape(points, ALL, line, SIGMAS) == pytest.approx(expected, rel=1e-6)
-
-
-def test_the_shape_of_a_straight_wall_is_as_uncertain_as_it_says():
-    rng = np.random.default_rng(7)
-    exact = LaserSigmas(0.01, 0.0)
-    found = []
-    for _ in range(500):
-        points = straight(rng)
-        found.append(shape(points, ALL, fit_line(points, ALL, exact), exact))
-    values = np.array(found)
-    squared = values[:, :2] ** 2 / values[:, 2:]
-    assert squared.mean() == pytest.approx(1.0, abs=0.15)
 
 
 def test_the_floor_of_a_walls_direction_leaves_its_middle_as_certain_as_it_was():

@@ -12,32 +12,15 @@ import numpy as np
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmark_kernels import innovation, innovations_of, predictions
+from sixthsense.core.landmark_kernels import innovation, innovations_of, predictions, stacked
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.se2 import Triple
-from sixthsense.slam.association.joint_assignment import (
-    Indices,
-    Pairs,
-    best_matches,
-    likely_matches,
-    squared_given,
-)
-from sixthsense.slam.association.observed import Distances, Mask, Observed
-from sixthsense.slam.association.records import Record, unit_cov
-from sixthsense.slam.association.unknown import least_densities
+from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, squared_given
+from sixthsense.slam.association.observed import Distances, Mask, Observed, offset_variance
+from sixthsense.slam.association.records import unit_cov
 from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
 """share of the observations of a wall that show a stretch of it that was not seen before"""
-
-
-class Usual(NamedTuple):
-    """What the landmarks of this building are like, by all that was observed so far."""
-
-    excess: tuple[float, float]
-    """how crooked walls are, as of `Crookedness`"""
-    unknown_per_m2: float
-    """density of unknown points"""
 
 
 class Innovations(NamedTuple):
@@ -61,6 +44,12 @@ class Innovations(NamedTuple):
         values, S, places = self._together(matched)
         x, y, theta = (np.linalg.solve(S, values) @ self.with_pose[places]).tolist()
         return Pose(pose.x + x, pose.y + y, pose.theta + theta)
+
+    @property
+    def own(self) -> Array:
+        """(k, 2, 2) covariance of each predicted observation."""
+        k = np.arange(len(self.predicted))
+        return self.pairs.predicted.reshape(len(k), 2, len(k), 2)[k, :, k]
 
     def worth(self, matched: Indices, gate: float) -> float:
         """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
@@ -91,8 +80,11 @@ def compare(observed: Observed, squares_m2: Array, estimate: Estimate, near: Ind
 
     The walls among these deviate from straight ones by a mean square of `squares_m2` (k,).
     """
-    pose = estimate.pose.x, estimate.pose.y, estimate.pose.theta
-    return _compared(observed, squares_m2, pose, estimate.landmarks[near], estimate.walls[near], joint)
+    walls = estimate.walls[near]
+    predicted, by_pose, by_landmark = predictions(estimate.pose.triple(), estimate.landmarks[near], walls)
+    H = stacked(by_pose, by_landmark, 3)
+    with_state = H @ joint
+    return _compared(observed, squares_m2, predicted, walls, with_state @ H.T, with_state[:, :3])
 
 
 def compare_known(
@@ -106,12 +98,9 @@ def compare_known(
 
 @numba.njit(cache=True, error_model="numpy")
 def _compared(
-    observed: Observed, squares_m2: Array, pose: Triple, landmarks: Array, walls: Mask, joint: Array
+    observed: Observed, squares_m2: Array, predicted: Array, walls: Mask, predicted_cov: Array, with_pose: Array
 ) -> Innovations:
-    m, k = len(observed.z), len(landmarks)
-    predicted, by_pose, by_landmark = predictions(pose, landmarks, walls)
-    with_state = _by_state(by_pose, by_landmark, joint)
-    predicted_cov = _by_state(by_pose, by_landmark, np.ascontiguousarray(with_state.T))
+    m, k = len(observed.z), len(predicted)
     values, noise, own = np.empty((m, k, 2)), np.empty((m, k, 2, 2)), np.empty((2, 2))
     squared, log_det = np.empty((m, k)), np.empty((m, k))
     for i in range(m):
@@ -129,22 +118,7 @@ def _compared(
             squared[i, j] = (a * a * s11 - 2.0 * a * b * s10 + b * b * s00) / det
             log_det[i, j] = np.log(det)
     pairs = Pairs(values, noise, predicted_cov)
-    return Innovations(pairs, squared, log_det, np.ascontiguousarray(with_state[:, :3]), predicted, walls)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _by_state(by_pose: Array, by_landmark: Array, of_state: Array) -> Array:
-    """(2k, c) the Jacobian of k predicted observations by the pose and the landmarks, times `of_state` (3 + 2k, c)."""
-    k, columns = len(by_pose), of_state.shape[1]
-    out = np.zeros((2 * k, columns))
-    for row in range(2 * k):
-        j, a = row // 2, row % 2
-        for c in range(columns):
-            for p in range(3):
-                out[row, c] += by_pose[j, a, p] * of_state[p, c]
-            for p in range(2):
-                out[row, c] += by_landmark[j, a, p] * of_state[3 + 2 * j + p, c]
-    return out
+    return Innovations(pairs, squared, log_det, with_pose, predicted, walls)
 
 
 def _joint(predicted_cov: Array, places: Indices, noise: Array) -> Array:
@@ -173,67 +147,103 @@ class Matches(NamedTuple):
     """(m,)"""
     near: Indices
     """(k,) ids of the landmarks that were compared"""
+    place: Indices
+    """(m,) place of the landmark among these; -1: none"""
     innovations: Innovations | None
     """against these; None: there are none"""
     pose: Pose
-    """that the matches imply"""
+    """`T_world_robot` that the matches imply"""
     worth: float
-    """twice the logarithm of how much likelier they are than observations at the gate"""
+    """log-likelihood ratio of the matches against observations at the gate, times two"""
 
     @property
-    def places(self) -> dict[LandmarkId, int]:
-        """The places of the landmarks that were compared among these."""
-        return {i: j for j, i in enumerate(self.near.tolist())}
+    def matched(self) -> int:
+        """Number of observations that are matched."""
+        return int(np.count_nonzero(self.landmark >= 0))
 
-    def nis(self, known: Mapping[LandmarkId, Observation]) -> float:
-        """Normalised innovation squared of the matched observations together."""
-        if self.innovations is None or not known:
-            return 0.0
-        places = self.places
-        return self.innovations.nis(list(known.values()), np.array([places[i] for i in known]))
+    def compared(self, seen: Mapping[LandmarkId, Observation]) -> Compared:
+        """The matched observations, fused, as they were compared."""
+        places = {i: j for j, i in enumerate(self.near.tolist())}
+        return Compared(self.innovations, np.array([places[i] for i in seen], dtype=np.int64), self.pose)
+
+
+class Compared(NamedTuple):
+    """Observations of known landmarks beside what an estimator expects of these."""
+
+    innovations: Innovations | None
+    """None: there are no landmarks"""
+    places: Indices
+    """(n,) of the landmarks of the observations in these"""
+    pose: Pose
+    """`T_world_robot` that they imply"""
+
+    def nis(self, seen: Mapping[LandmarkId, Observation]) -> float:
+        """Normalised innovation squared of the observations together."""
+        return 0.0 if self.innovations is None else self.innovations.nis(list(seen.values()), self.places)
+
+    def innovation(self, wall: Observation, place: int) -> tuple[Array, Array, Array]:
+        """Innovation (2,) of a wall, its covariance (2, 2) were the wall straight, and what 1 m^2 adds to that."""
+        assert self.innovations is not None
+        at, is_wall = slice(place, place + 1), np.ones(1, dtype=bool)
+        values, noise = innovations_of(wall.z[None], wall.cov[None], self.innovations.predicted[at], is_wall)
+        return values[0], self.innovations.own[place] + noise[0], unit_cov(*wall.extent, True)
+
+
+def by_estimator(seen: Mapping[LandmarkId, Observation], estimator: Belief, estimate: Estimate) -> Compared:
+    """Compare observations of known landmarks with an estimate."""
+    own = np.arange(len(seen))
+    if not seen:
+        return Compared(None, own, estimate.pose)
+    innovations = compare_known(seen, list(seen), estimate, estimator)
+    return Compared(innovations, own, innovations.pose_given(estimate.pose, own))
 
 
 def match(
-    observed: Observed,
-    belief: Belief,
-    estimate: Estimate,
-    extents: Array,
-    records: Mapping[LandmarkId, Record],
-    usual: Usual,
-    cfg: AssociationConfig,
+    observed: Observed, belief: Belief, estimate: Estimate, extents: Array, squares_m2: Array, cfg: AssociationConfig
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
-    `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
-    its walls, and `usual` says what landmarks are like. The `records` of those that were compared are told how certain
-    these are.
+    `observed` are the arrays of the observations, `estimate` (n landmarks) is that of `belief`; `extents` (n, 2, 2) are
+    the ends of its walls, world frame, and `squares_m2` (n,) their deviations from straight ones. Nothing is recorded.
     """
     m = len(observed.z)
-    own = [records[i] for i in estimate.ids.tolist()]
-    known_sigmas = np.array([record.sigma_m for record in own])
     sigmas = observed.sigmas_m(estimate.pose_cov)
     distances = Distances.at(estimate.pose, observed, estimate, extents)
-    plausible = distances.plausible(sigmas, known_sigmas, math.sqrt(estimate.pose_cov[2, 2]), cfg)
+    plausible = distances.plausible(sigmas, math.sqrt(estimate.pose_cov[2, 2]), cfg)
     near = np.flatnonzero(plausible.any(axis=0))
-    joint = np.ascontiguousarray(belief.joint_covariance(estimate.ids[near].tolist()))
+    ids, none = estimate.ids[near], np.full(m, -1)
     if not len(near):
-        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0)
-    for j, k in enumerate(near.tolist()):
-        own[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
-    squares = np.array([own[k].shape.square_m2(usual.excess) for k in near.tolist()])
-    innovations = compare(observed, squares, estimate, near, joint)
+        is_new = np.asarray(distances.apart(cfg).all(axis=1))
+        return Matches(none, is_new, ids, none, None, estimate.pose, 0.0)
+    joint = np.ascontiguousarray(belief.joint_covariance(ids.tolist()))
+    innovations = compare(observed, squares_m2[near], estimate, near, joint)
     gaps, plausible = distances.gap_m[:, near], plausible[:, near]
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
-    least = least_densities(usual.unknown_per_m2, innovations.walls, cfg.match_odds)
-    found = likely_matches(innovations.pairs, found, least)
+    if cfg.proposed_by == "estimate":
+        found = _without_lone_one(observed, innovations, found, cfg)
     is_matched = found >= 0
     is_far = ~is_matched & (squared_given(innovations.pairs, plausible, found).min(axis=1) > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
     is_new = _new_ones(observed, replace(estimate, pose=here), extents, is_matched, is_far, cfg)
-    landmark = np.where(is_matched, estimate.ids[near][found], -1)
     worth = innovations.worth(found, cfg.match_gate)
-    return Matches(landmark, is_new, estimate.ids[near], innovations, here, worth)
+    return Matches(np.where(is_matched, ids[found], -1), is_new, ids, found, innovations, here, worth)
+
+
+def _without_lone_one(observed: Observed, innovations: Innovations, found: Indices, cfg: AssociationConfig) -> Indices:
+    """(m,) the matches without one that alone, of all, is of a landmark whose gate is wider than landmarks are apart.
+
+    A gate as wide as that holds other landmarks, too. One such match closes no loop; two that agree do.
+    """
+    middles, own = observed.extents.mean(axis=1), innovations.own
+    wide = [
+        k
+        for k in np.flatnonzero((found >= 0) & observed.walls).tolist()
+        if cfg.match_gate * offset_variance(own[found[k]], middles[k]) > cfg.new_separation_m**2
+    ]
+    if len(set(found[wide].tolist())) == 1:
+        found[wide] = -1
+    return found
 
 
 def _new_ones(
