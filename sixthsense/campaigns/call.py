@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 from sixthsense.campaigns.cluster import Cluster, check_workers, connect
 from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, check_rows, read_folder, save_folder
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, import_extra, plan
-from sixthsense.campaigns.worker import OtherVersionError, failed_row, is_failed, run_planned
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, plan
+from sixthsense.campaigns.worker import FAILED, OtherVersionError, failed_row, run_row
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import path_of
@@ -56,17 +56,15 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
     Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
-    campaign, for workers that will not do, if the scheduler is lost, and without pandas; FolderInUseError; OSError that
-    names a file.
+    campaign, for workers that will not do, and if the scheduler is lost; FolderInUseError; OSError that names a file.
     """
-    import_extra("pandas")  # for the table of the rows, which is asked for when the runs are done
     check_folder(out, campaign)
     with FolderLock(out):
         saved, rows = check_folder(out, campaign), CampaignRows(out)
         known = rows.rows.read()
         check_rows(out, runs, known.values())
-        done = {key for key, row in known.items() if not (execution.retry_failed and is_failed(row))}
-        missing = {key: run for key, run in runs.items() if key not in done}
+        done = {key for key, row in known.items() if not (execution.retry_failed and row["outcome"] == FAILED)}
+        missing = {key: run.config for key, run in runs.items() if key not in done}
         if not missing:
             save_folder(out, campaign, saved)
             execution.say(f"all {len(runs)} runs are already in {out}/")
@@ -85,8 +83,8 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
             with progress_bar(
                 execution.progress, total=len(missing), desc="campaign", unit=" runs", leave=False
             ) as bar:
-                for key, future in carry_out(executor, partial(run_planned, version=__version__), missing):
-                    rows.add(_row(future, missing[key].config))
+                for key, future in carry_out(executor, partial(run_row, version=__version__), missing):
+                    rows.add(_row(future, missing[key]))
                     bar.update()
 
 
@@ -145,7 +143,7 @@ def campaign(
     ------
     InputError
         In one line, before anything is written: a scene, field, seed or value that is not allowed; the folder of
-        another campaign or of a run; pandas is missing.
+        another campaign or of a run.
 
     """
     given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
@@ -201,12 +199,11 @@ class Campaign(RunTable):
     """
 
     def __init__(self, folder: str | Path) -> None:
-        """Open a folder; raises InputError for one that is not a campaign's, and without pandas."""
+        """Open a folder; raises InputError for one that is not a campaign's."""
         self.folder = path_of("folder", folder)
         """with campaign.toml, rows.jsonl and curves/"""
         self.name = self.folder.absolute().name
         self._fields = read_folder(self.folder)["fields"]
-        import_extra("pandas")
         self._rows = CampaignRows(self.folder)
 
     def frame(self) -> pd.DataFrame:
@@ -257,6 +254,6 @@ def load_campaign(folder: Path | str) -> Campaign:
 
         ss.load_campaign("mc").frame().groupby("estimator")["ate_rmse_m"].median()
 
-    Raises InputError for a folder that is not a campaign's, and if pandas is missing.
+    Raises InputError for a folder that is not a campaign's.
     """
     return Campaign(folder)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from typing import Any
 
-from sixthsense.campaigns.plan import CampaignPlan, import_extra, own_parts
+from sixthsense.campaigns.plan import CampaignPlan, own_parts
 from sixthsense.campaigns.worker import describe, one_line, python_minor
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, import_extra
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 
-T = TypeVar("T")
 REACH_S = 5.0
 """timeout for the scheduler to answer, and for its first worker to connect"""
 
@@ -25,17 +23,13 @@ class Cluster:
     def __init__(self, client: Any) -> None:
         """Use the workers that a client of Dask has."""
         self.client = client
-        self._executor = client.get_executor(pure=False)
+        self.submit = client.get_executor(pure=False).submit
+        """begins a call"""
 
     @property
     def workers(self) -> int:
         """The number of workers, which may join and leave."""
         return len(self.client.nthreads())
-
-    def submit(self, function: Callable[[T], Any], item: T) -> Future[Any]:
-        """Begin a call."""
-        found: Future[Any] = self._executor.submit(function, item)
-        return found
 
 
 @contextlib.contextmanager
@@ -44,7 +38,7 @@ def connect(scheduler: str) -> Iterator[Cluster]:
 
     Raises InputError if Dask is missing, if the scheduler cannot be reached, and if it has no workers.
     """
-    distributed = import_extra("distributed")
+    distributed = import_extra("distributed", "campaign")
     for name in logging.root.manager.loggerDict:  # rows and errors tell what is lost
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.campaigns.engine import Rows
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, import_extra, ranges, seed_range
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, ranges, seed_range
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.errors import InputError, reason_of
@@ -169,10 +169,12 @@ class CampaignRows:
         self.rows.add({name: value for name, value in row.items() if name != CURVES and value is not None})
 
     def frame(self) -> pd.DataFrame:
-        """All rows, sorted by axes and seed; NaN where a run lacks the metric. InputError without pandas."""
+        """All rows, sorted by axes and seed; NaN where a run lacks the metric."""
+        import pandas as pd
+
         rows = list(self.rows.read().values())
         names = dict.fromkeys([*TEXTS, *NUMBERS, *(name for row in rows for name in row)])
-        frame = import_extra("pandas").DataFrame(rows, columns=list(names))
+        frame = pd.DataFrame(rows, columns=list(names))
         return frame.sort_values(list(ORDER), ignore_index=True)
 
     def curves(self) -> dict[str, pd.DataFrame]:

@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.config.errors import import_extra as import_of_extra
 from sixthsense.config.files import absolute
 from sixthsense.config.parts import FILTERS, KINDS, options_class
 from sixthsense.config.section import shown
@@ -29,11 +28,6 @@ where they have no value"""
 MOST_RUNS = 100_000
 
 _SEEDS = re.compile(r"([0-9]{1,18})(?::([0-9]{1,18}))?")
-
-
-def import_extra(module: str) -> Any:
-    """A module of the extra `campaign`; InputError with the command that installs it if it is missing."""
-    return import_of_extra(module, "campaign")
 
 
 @dataclass(frozen=True)

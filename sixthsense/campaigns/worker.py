@@ -7,10 +7,10 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
-from sixthsense.campaigns.plan import AXES, PlannedRun, config_hash, scene_digest
+from sixthsense.campaigns.plan import AXES, config_hash, scene_digest
 from sixthsense.config import Config
 from sixthsense.config.parts import KINDS
 from sixthsense.config.version import __version__
@@ -90,16 +90,6 @@ def failed_row(config: Config, error: BaseException) -> dict[str, Any]:
     is_killed = type(error).__name__ == "KilledWorker"
     reason = f"LostWorkerError: {error.args[2] + 1} workers died in this run" if is_killed else one_line(error)
     return {**row_of(config), "version": __version__, "outcome": FAILED, "error": reason}
-
-
-def is_failed(row: Mapping[str, Any]) -> bool:
-    """Whether the run of a row has raised, or its worker has failed."""
-    return bool(row["outcome"] == FAILED)
-
-
-def run_planned(run: PlannedRun, version: str) -> dict[str, Any]:
-    """Make a run of a plan and return its row; raises what `run_row` raises."""
-    return run_row(run.config, version)
 
 
 def one_line(error: BaseException) -> str:

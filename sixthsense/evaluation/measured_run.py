@@ -198,15 +198,16 @@ class MeasuredRun:
         return write_trajectories(Path(out), self.trace)
 
     def to_csv(self, out: str | Path) -> list[Path]:
-        """Write tables into a folder: trajectory.csv, landmarks.csv, and places_left.csv of an exploration."""
-        from sixthsense.record.exports import write_landmarks, write_places_left
+        """Write tables into a folder: trajectory.csv, landmarks.csv, and places_left.csv, where an exploration has not seen."""
+        import pandas as pd
+
+        from sixthsense.navigation.unseen_places import UnseenPlace
+        from sixthsense.record.exports import write_landmarks
 
         files = [Path(out) / name for name in ("trajectory.csv", "landmarks.csv", "places_left.csv")]
         self.trajectory.to_csv(files[0])
         write_landmarks(Path(out), self.trace)
-        if self.trace.config.task != "explore":
-            return files[:2]
-        write_places_left(files[2], self.trace)
+        pd.DataFrame(self.trace.left, columns=list(UnseenPlace.__slots__)).to_csv(files[2], index=False)
         return files
 
 

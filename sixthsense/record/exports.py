@@ -64,14 +64,6 @@ def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:
     return f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
 
 
-def write_places_left(file: Path, trace: Trace) -> None:
-    """Write the unseen places of an exploration, the largest first; in m and m^2."""
-    with whole(file) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.writer(out)
-        writer.writerow(["x", "y", "area_m2", "reason", "gap_m"])
-        writer.writerows([place.x, place.y, place.area_m2, place.reason, place.gap_m] for place in trace.left)
-
-
 LANDMARK_COLUMNS = (
     "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
 )  # fmt: skip

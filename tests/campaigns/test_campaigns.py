@@ -99,13 +99,6 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     np.testing.assert_allclose(sample.curves().position_m, curves(alone.trace).position_m, atol=1e-5)
 
 
-def test_a_campaign_without_pandas_is_refused_before_its_first_run(nearby, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match=r"pandas: cannot be imported .*\.\[campaign\]"):
-        ss.campaign("rectangle", seeds=[4], out="bare", **FIELDS)
-    assert not Path("bare").exists()
-
-
 def test_a_campaigns_folder_takes_no_other_configuration(nearby, complaint):
     words = ("rectangle", "--task", "tour", "--seeds", "0:1", "--out", "c", "--config", "some.toml")
     Path("some.toml").write_text("max-time = 4\nlaser.beams = 180\n")

@@ -26,10 +26,11 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan, sweep_times
 from sixthsense.core.source import Closure, Tick
+from sixthsense.figures.run import Run
 from sixthsense.logs.runfolder import FILE, FORMAT, read_run
 from sixthsense.record import stream
 from sixthsense.record.bag import write_bag
-from sixthsense.record.exports import write_g2o, write_graph, write_places_left
+from sixthsense.record.exports import write_g2o, write_graph
 from sixthsense.record.messages import Messages
 from sixthsense.record.store import RecordPart, load_record
 from sixthsense.record.stream import RecordWriter
@@ -199,7 +200,7 @@ def test_tables_of_landmarks_have_each_number_in_its_column(rng: np.random.Gener
     with written(trace) as folder:
         with (folder / "landmarks.csv").open() as file:
             rows = list(csv.DictReader(file))
-        write_places_left(folder / "places_left.csv", trace)
+        Run("run", trace).to_csv(folder)
         places = list(csv.reader((folder / "places_left.csv").open()))
     for k, row in enumerate(rows):
         i, cov = int(row["id"]), trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]

@@ -11,7 +11,6 @@ import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import rotation
-from sixthsense.loop.run import combined_hooks
 from sixthsense.record.trace import Trace
 from sixthsense.running.progress import live_status, progress, seen_area
 
@@ -96,13 +95,6 @@ def test_a_bar_advances_by_the_time_of_the_source_and_asks_for_the_status_where_
     assert bar.seconds == pytest.approx([0.0, 0.05, 0.1, 0.85, 1.0, 0.6]) and bar.disable
     assert bar.texts == ["hall: compiling", "hall", "at 100.1", "at 100.6", "at 101.7"]
     assert slept == pytest.approx([0.0, 0.0, 0.0, 0.4, 0.3, 0.9])
-
-
-def test_hooks_are_called_in_their_order() -> None:
-    said: list[tuple[str, Any, Any]] = []
-    hooks = [lambda tick, trace, name=name: said.append((name, tick, trace)) for name in ("a", "b")]
-    combined_hooks(*hooks)("tick", "trace")  # type: ignore[arg-type]
-    assert said == [("a", "tick", "trace"), ("b", "tick", "trace")]
 
 
 def test_an_exploration_shows_the_seen_area_beside_that_of_the_region():
