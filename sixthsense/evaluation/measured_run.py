@@ -198,7 +198,7 @@ class MeasuredRun:
         return write_trajectories(Path(out), self.trace)
 
     def to_csv(self, out: str | Path) -> list[Path]:
-        """Write tables into a folder: trajectory.csv, landmarks.csv, and places_left.csv, where an exploration has not seen."""
+        """Write tables into a folder: trajectory.csv, landmarks.csv, and places_left.csv of what was left unseen."""
         import pandas as pd
 
         from sixthsense.navigation.unseen_places import UnseenPlace
