@@ -106,7 +106,7 @@ def replay(
     Parameters
     ----------
     log
-        A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain or compressed; a ROS 1 or
+        A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .txt), plain or compressed; a ROS 1 or
         ROS 2 bag; the folder of a run; an MRCLAM folder; or a log opened by `ss.open_log`.
     config
         The complete configuration. By default it is that of the run folder, or the preset of the log's format ("log",
@@ -219,18 +219,13 @@ def _opened(
     log: Log, config: Config | None, relations: str | Path | Relations | None, given: Mapping[str, Any]
 ) -> ReplayInput:
     """The input of a replay from a log that the caller has opened."""
-    from sixthsense.logs.log import read_relations
-    from sixthsense.logs.replay_input import ReplayInput, of_log, relations_of
+    from sixthsense.logs.replay_input import of_opened
 
     if not hasattr(log, "ticks"):
         raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
     if config is None:
         raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
-    known = read_relations(relations) if isinstance(relations, (str, Path)) else relations
-    notes = log.remarks()
-    if known is not None:
-        known = relations_of(log, known, "relations", notes)
-    return ReplayInput("log", log, of_log(_apply_fields(config, given), log), known, {}, tuple(notes))
+    return of_opened(log, _apply_fields(config, given), relations)
 
 
 def _open_with_config(

@@ -85,10 +85,10 @@ class Bag:
 
     def scan(
         self, stamp_ns, ranges, topic="/scan", *, first=-2.0, step=0.017, low=0.1, high=8.0,
-        frame="laser", lag=0.0, echo=False, record_ns=None,
+        frame="laser", lag=0.0, echo=False, record_ns=None, last=None,
     ) -> None:  # fmt: skip
         row, echoes = np.asarray(ranges, dtype=np.float32), [] if echo else np.empty(0, np.float32)
-        last, beams = first + step * (len(row) - 1), row
+        last, beams = first + step * (len(row) - 1) if last is None else last, row
         if echo:
             beams = [self.make("sensor_msgs/LaserEcho", row[i : i + 1]) for i in range(len(row))]
         values = self.header(stamp_ns, frame), first, last, step, lag, 0.1, low, high, beams, echoes

@@ -56,7 +56,7 @@ class Run(WithPriorMap, OfScene):
 class Replay(WithPriorMap):
     """Process a recorded log.
 
-    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro), plain or .gz, .bz2, .xz, .zip; a ROS 1 or ROS 2
+    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o), plain or .gz, .bz2, .xz, .zip; a ROS 1 or ROS 2
     bag; the folder of a run; an MRCLAM folder.
     """
 

@@ -83,6 +83,9 @@ class Config(Section):
     no_odometry: bool = False
     """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
     ignored."""
+    time_offset: float | None = None
+    """Time by which the stamps of a log's odometry are early beside those of its scans, s. None: it is looked for, by
+    the turns that both see."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, rrtstar, or your own. astar: shortest over the grid's cells; rrtstar: sampled in the
     plane."""

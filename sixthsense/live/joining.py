@@ -13,7 +13,7 @@ from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick, seconds
-from sixthsense.logs.log import GAP_S, JOLT_M, JOLT_RAD, pose_between
+from sixthsense.logs.joining import GAP_S, JOLT_M, JOLT_RAD, pose_between
 
 JUMP_NS = 1_000_000_000
 """A stamp that differs by more from what has passed since the last one is of a clock that has jumped."""

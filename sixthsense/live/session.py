@@ -35,9 +35,9 @@ from sixthsense.live.reading import (
 )
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
-from sixthsense.logs.log import found_turns
+from sixthsense.logs.diagnose import take_turns
+from sixthsense.logs.log import described_laser
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.logs.rosbag import described_laser
 from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.loop.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.loop.run import OnTick, combined_hooks, recorded_drive
@@ -137,8 +137,8 @@ class Session:
         self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
         scans, self._robot, found = self._first_messages(drive)
         stamps = sorted(scans)
-        if turns := found_turns([scans[stamp] for stamp in stamps], self._laser.frame):
-            raise InputError(topics.scan, turns)
+        if take_turns([scans[stamp] for stamp in stamps]):
+            raise InputError(topics.scan, f"found scans of two lasers in turn, all of {self._laser.frame}", "one laser")
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.upside_down ^= laser.mirrored

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _CARMEN = (".log", ".clf", ".carmen")
 _COMPRESSED = (".gz", ".bz2", ".xz", ".zip")
 _BAGS = (".bag", ".mcap", ".db3")
-_GRAPHS = (".graph", ".g2o", ".toro")
+_GRAPHS = (".graph", ".g2o")
 _MRCLAM = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
 
 
@@ -61,14 +61,17 @@ def open_log(
         from sixthsense.logs.rosbag import How, read_bag
         from sixthsense.logs.transforms import frame_pair
 
-        states_mount = laser is not None and "mount" in laser.explicit_fields
-        how = How(topics, frame_pair(odometry_frames), odometry, states_mount, own_units)
+        how = How(topics, frame_pair(odometry_frames), odometry, own_units)
         return read_bag(path, laser or LaserConfig(), how)
     if kind == "mrclam":
         from sixthsense.config import preset
         from sixthsense.logs.mrclam import read_mrclam
 
         return read_mrclam(path, assumed or preset("mrclam").assumed, robot)
+    if path.name.endswith((".db3.zstd", ".mcap.zstd")):
+        raise InputError(
+            path, "found a piece of a compressed bag", "its folder with metadata.yaml, or what `zstd -d` makes of it"
+        )
     compressed = f"also with {' or '.join(_COMPRESSED)}"
     kinds = (
         f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}), "
@@ -87,7 +90,7 @@ def _suffix(path: Path) -> str:
 
 def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""]:
     """How a log is read, by its name or what is in the folder; "" if that is not known."""
-    from sixthsense.logs.bag_forms import bag_files, suffix_of
+    from sixthsense.logs.bag_file import bag_files, suffix_of
 
     if not path.is_dir():
         if suffix_of(path):

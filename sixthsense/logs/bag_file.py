@@ -1,14 +1,13 @@
-"""ROS 1 and ROS 2 bags: opened within bounds, one topic of several, and poses of a topic or of a pair of frames."""
+"""ROS 1 and ROS 2 bags: opened by rosbags within bounds, and the poses of a topic or of a pair of frames."""
 
 from __future__ import annotations
 
-import bz2
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import struct
+import tempfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from sixthsense.config.errors import InputError, nearest, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array
-from sixthsense.logs.bag_forms import readable, suffix_of
 from sixthsense.logs.ros_messages import ODOMETRY, checked_stamp, frame_name, stamp_ns
 from sixthsense.logs.text_lines import LARGEST, check_regular
 from sixthsense.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
@@ -28,134 +26,120 @@ if TYPE_CHECKING:
 WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", ODOMETRY)
 WITHOUT = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 
+_MCAP, _ROSBAG, _SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\x00"
+_SUFFIXES = {_MCAP: ".mcap", _ROSBAG[:7]: ".bag", _SQLITE: ".db3"}
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
-_BASE_BUDGET = 1 << 30  # bytes that all chunks of any bag may have together
-_BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely compress to a tenth
+_BASE_BUDGET, _BUDGET_PER_BYTE = (
+    1 << 30,
+    20,
+)  # bytes that all chunks may have together; scans rarely compress to a tenth
+
+
+def suffix_of(file: Path) -> str:
+    """The suffix that a bag has by its first bytes; empty for another file, and for one that cannot be read."""
+    try:
+        if not file.is_file():
+            return ""
+        with file.open("rb") as stream:
+            begin = stream.read(16)
+    except OSError:
+        return ""
+    return next((suffix for magic, suffix in _SUFFIXES.items() if begin.startswith(magic)), "")
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """The files of a ROS 2 bag in a folder; pieces may be in any order."""
+    return sorted(file for file in folder.iterdir() if suffix_of(file) in (".mcap", ".db3"))
 
 
 @contextmanager
-def opened(path: Path, remarks: list[str] | None = None) -> Iterator[AnyReader]:
+def opened(path: Path) -> Iterator[AnyReader]:
     """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file), recognised by its first bytes.
 
-    What was done about the form of the bag is added to the remarks. Whatever is wrong within the block is an
-    InputError: a damaged bag can raise any exception, and may define a type with a known name but without the expected
-    fields.
+    Whatever is wrong within the block is an InputError: a damaged bag can raise any exception, and may define a type
+    with a known name but without the expected fields.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     if not path.exists():
         raise InputError(path, "no such file")
+    allowed = "ROS 1 .bag, ROS 2 folder or file"
     try:
         check_regular(path)
-        _check_first_line(path)
-        store = get_typestore(Stores.ROS2_HUMBLE)
+        files = bag_files(path) if path.is_dir() else [path]
+        for file in files:
+            kind = suffix_of(file)
+            if kind in (".mcap", ".bag"):
+                allowed = f"a whole file; `{'mcap recover' if kind == '.mcap' else 'rosbag reindex'}` makes one of it"
+                _check_chunks(file, kind)
         with (
-            bounded(path),
-            readable(path, partial(decompressed, is_whole=False), [] if remarks is None else remarks) as paths,
-            AnyReader(paths, default_typestore=store) as reader,
+            tempfile.TemporaryDirectory(prefix="sixthsense-") as folder,
+            AnyReader(_named(path, files, Path(folder)), default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
         ):
             yield reader
     except InputError:
         raise
     except Exception as error:
-        allowed = "ROS 1 .bag, ROS 2 folder or file"
-        if suffix_of(path) == ".bag":
-            allowed = "a whole ROS 1 bag; `rosbag reindex` makes one of what was cut short"
         raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", allowed) from None
 
 
-def _check_first_line(path: Path) -> None:
-    """Raise ValueError for a ROS 1 bag with an endless first line, which the reader would read as a whole."""
-    if path.is_file() and (path.suffix.lower() == ".bag" or suffix_of(path) == ".bag"):
-        with path.open("rb") as stream:
-            if not stream.readline(32).endswith(b"\n"):
-                raise ValueError("File magic is invalid.")
+def _named(path: Path, files: Sequence[Path], folder: Path) -> list[Path]:
+    """The bag as rosbags takes it: a folder with metadata, or files that are named as their content is."""
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        return [path]
+    named = []
+    for number, file in enumerate(files):
+        suffix = suffix_of(file)
+        if suffix in ("", file.suffix):
+            named.append(file)
+            continue
+        named.append(folder / f"{number}{suffix}")
+        named[-1].symlink_to(file.resolve())
+    return named or [path]
 
 
-@contextmanager
-def bounded(path: Path) -> Iterator[None]:
-    """A context in which rosbags raises ValueError if one chunk of a bag, or all of them together, get too large.
-
-    rosbags decompresses a chunk again whenever messages of two chunks alternate, so the bound on the sum also bounds
-    the time.
-    """
-    from rosbags.rosbag1 import reader as reader1
-    from rosbags.rosbag2 import reader as reader2
-    from rosbags.rosbag2 import storage_mcap
-
-    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
-    left = _BASE_BUDGET + _BUDGET_PER_BYTE * sum(file.stat().st_size for file in files)
-
-    def charge(data: bytes, _: int = 0) -> bytes:
-        nonlocal left
-        left -= len(data)
-        if len(data) > _LARGEST_CHUNK:
-            raise ValueError(f"found a chunk of over {_LARGEST_CHUNK} bytes")
-        if left < 0:
-            raise ValueError("found chunks that hold far more than the file")
-        return data
-
-    def decompressor(name: str) -> Callable[..., bytes]:
-        return lambda data, _=0: charge(decompressed(data, name))
-
-    @contextmanager
-    def opened(stream: IO[bytes], mode: str) -> Iterator[Any]:
-        with reading(stream, mode) as inner:
-            yield SimpleNamespace(read=lambda size: charge(inner.read(size)))
-
-    reading = vars(reader2)["zstd"].open
-    tables: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
-        (
-            storage_mcap.DECOMPRESSORS,
-            {"": charge, "lz4": decompressor("lz4"), "zstd": decompressor("zstd")},
-        ),
-        (
-            reader1.decompressors,
-            {"none": charge, "lz4": decompressor("lz4"), "bz2": decompressor("bz2")},
-        ),
-        (vars(reader2), {"zstd": SimpleNamespace(decompress=decompressor("zstd"), open=opened)}),
-    )
-    before = [{name: table[name] for name in replacements} for table, replacements in tables]
-    for table, replacements in tables:
-        table.update(replacements)
-    try:
-        yield
-    finally:
-        for (table, _), originals in zip(tables, before, strict=True):
-            table.update(originals)
+def _check_chunks(file: Path, kind: str) -> None:
+    """Raise ValueError for a chunk that is larger than any writer's, for chunks far larger than the file, or a cut."""
+    size = file.stat().st_size
+    left = _BASE_BUDGET + _BUDGET_PER_BYTE * size
+    with file.open("rb") as stream:
+        for held in (_mcap_chunks if kind == ".mcap" else _bag_chunks)(stream, size):
+            left -= held
+            if held > _LARGEST_CHUNK or left < 0:
+                raise ValueError(f"found chunks that hold {held} bytes and more, far more than the file")
 
 
-def decompressed(data: bytes, compression: str, is_whole: bool = True) -> bytes:
-    """Decompress concatenated bz2, lz4 or zstd streams; an empty `compression` returns the data unchanged.
+def _mcap_chunks(stream: IO[bytes], size: int) -> Iterator[int]:
+    """Bytes that each chunk of an MCAP file holds, by the headers of its records."""
+    at = len(_MCAP)
+    while at < size - len(_MCAP):
+        stream.seek(at)
+        op, length = struct.unpack("<BQ", stream.read(9))
+        if op == 0x06:
+            yield struct.unpack("<QQQ", stream.read(24))[2]
+        at += 9 + length
+    stream.seek(max(size - len(_MCAP), 0))
+    if at != size - len(_MCAP) or stream.read() != _MCAP:
+        raise ValueError("it is cut short")
 
-    Raises ValueError for more data than a chunk may hold, for truncated data if it should be whole and for an unknown
-    compression.
-    """
-    from backports import zstd
-    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
-    if not compression:
-        return data
-    kinds: dict[str, Callable[[], Any]] = {
-        "bz2": bz2.BZ2Decompressor, "lz4": LZ4FrameDecompressor, "zstd": zstd.ZstdDecompressor
-    }  # fmt: skip
-    if compression not in kinds:
-        raise ValueError(f"found the compression {compression!r}, allowed: {', '.join(kinds)}")
-    parts: list[bytes] = []
-    size, rest = 0, data
-    while rest:
-        stream = kinds[compression]()
-        parts.append(stream.decompress(rest, _LARGEST_CHUNK + 1 - size))
-        size += len(parts[-1])
-        if size > _LARGEST_CHUNK:
-            raise ValueError(f"found a chunk of over {_LARGEST_CHUNK} bytes")
-        if not stream.eof:
-            if is_whole:
-                raise ValueError("found compressed data that is cut short")
-            break
-        rest = stream.unused_data
-    return b"".join(parts)
+def _bag_chunks(stream: IO[bytes], size: int) -> Iterator[int]:
+    """Bytes that each chunk of a ROS 1 bag holds, by the headers of its records."""
+    at = len(_ROSBAG)
+    if stream.read(at) != _ROSBAG:
+        raise ValueError("File magic is invalid.")
+    while at < size:
+        stream.seek(at)
+        (length,) = struct.unpack("<I", stream.read(4))
+        header = stream.read(min(length, 1 << 16))
+        if b"\x04\x00\x00\x00op=\x05" in header and (place := header.find(b"size=")) >= 0:
+            yield struct.unpack_from("<I", header, place + 5)[0]
+        stream.seek(at + 4 + length)
+        (held,) = struct.unpack("<I", stream.read(4))
+        at += 8 + length + held
+    if at != size:
+        raise ValueError("it is cut short")
 
 
 @dataclass(slots=True)
@@ -187,7 +171,11 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclud
     stamps: list[int] = []
     parent = child = ""
     with opened(path) as reader:
-        name = _chosen(path, reader, topic, kinds, exclude)
+        types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
+        if topic:
+            exclude = [name for name in types if name != topic]
+        option = "`topic`" if with_covariance else "`truth_topic`"
+        name = only_topic(path, types, kinds, option, exclude, f"no topic {topic!r}" if topic else "no topic of poses")
         for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
             message: Any = reader.deserialize(raw, connection.msgtype)
             stamps.append(checked_stamp(f"{path} {name}", stamp_ns(message) or record_ns))
@@ -209,11 +197,14 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     Each link has stamps (N,), ns, and poses (N, 4, 4) of its frame in its parent; a static one has a single pose.
     Raises InputError, with the frames that there are, where no chain leads from one to the other.
     """
-    tree, pair = TransformTree(), FramePair(frame_name(parent), frame_name(child))
+    pair = FramePair(frame_name(parent), frame_name(child))
+    tree = TransformTree(pair)
     with opened(path) as reader:
         known = [c for c in reader.connections if c.msgtype in TRANSFORM_TYPES]
         for connection, record_ns, raw in reader.messages(known) if known else ():
-            tree.take(str(path), connection.topic, reader.deserialize(raw, connection.msgtype), record_ns)
+            message = reader.deserialize(raw, connection.msgtype)
+            for error in tree.take(connection.topic, message, record_ns):
+                raise InputError(f"{path} {connection.topic}", str(error))
     try:
         links = [tree.transforms(link) for link in tree.chain(pair)]
     except ValueError as error:
@@ -223,35 +214,31 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     return [(np.array([ns for ns, _ in link], dtype=np.int64), np.array([T for _, T in link])) for link in links]
 
 
-def _chosen(path: Path, reader: AnyReader, topic: str, kinds: Sequence[str], exclude: Collection[str]) -> str:
-    """The topic that is wanted, or the only one of these types; InputError with the candidates otherwise."""
-    types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
-    fitting = sorted(name for name, kind in types.items() if kind in kinds and name not in exclude)
-    allowed = f"{', '.join(kind.rpartition('/')[2] for kind in kinds)}"
-    if topic:
-        if types.get(topic) not in kinds:
-            raise wrong_topic(path, topic, types, f"no topic {topic!r}", fitting, allowed)
-        return topic
+def only_topic(
+    path: Path,
+    types: Mapping[str, str],
+    kinds: Sequence[str],
+    option: str,
+    exclude: Collection[str] = (),
+    missing: str = "no topic",
+) -> str:
+    """The only topic of these types but for those to `exclude`; InputError with the candidates for none or several."""
+    every = sorted(topic for topic, kind in types.items() if kind in kinds)
+    fitting = [topic for topic in every if topic not in exclude]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = ", ".join(kind.rpartition("/")[2] for kind in kinds)
     if not fitting:
-        raise InputError(path, "found no topic of poses", allowed)
-    return only_topic(path, fitting, "poses", "`topic`" if kinds is WITH_COVARIANCE else "`truth_topic`")
-
-
-def wrong_topic(
-    where: object, topic: str, types: Mapping[str, str], missing: str, fitting: Sequence[str], otherwise: str
-) -> InputError:
-    """The error of a topic that is not one of `fitting`; `missing` and `otherwise` where there is none."""
-    found = f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else missing
-    allowed = ", ".join(map(shown_name, fitting)) if fitting else otherwise
-    return InputError(where, f"found {found}", allowed, nearest(topic, fitting))
-
-
-def only_topic(path: Path, names: Sequence[str], what: str, option: str) -> str:
-    """The only topic of some; InputError that names the option where there are several."""
-    if len(names) > 1:
-        either = " or ".join(map(shown_name, names))
-        raise InputError(path, f"found {len(names)} topics of {what}", f"one, by {option} {either}")
-    return names[0]
+        there = ", ".join(
+            f"{shown_name(topic)} ({kind.rpartition('/')[2]})" for topic, kind in sorted(types.items())[:8]
+        )
+        allowed = ", ".join(map(shown_name, every)) or f"a topic of type {names}"
+        raise InputError(path, f"found {missing}, but {there or 'no topic at all'}", allowed, nearest(missing, every))
+    raise InputError(
+        path,
+        f"found {len(fitting)} topics of type {names}",
+        f"one, by {option} {' or '.join(map(shown_name, fitting))}",
+    )
 
 
 def _numbers(pose: Any) -> list[float]:

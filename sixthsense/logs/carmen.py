@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array, Pose, interpolated
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, time_increment
-from sixthsense.core.source import Tick
-from sixthsense.logs.clocks import MIRRORED
-from sixthsense.logs.field_of_view import FIELDS_RAD, seen_ratio
+from sixthsense.logs.finding import Finding
+from sixthsense.logs.joining import Odometry, Sighting
 from sixthsense.logs.laser_geometry import (
     FARTHEST_M,
     MOST_BEAMS,
@@ -27,32 +26,30 @@ from sixthsense.logs.laser_geometry import (
     beams_as_stated,
     beams_by_count,
     beams_over,
-    described,
+    faults_of,
     max_range_of,
     mount_from_poses,
     no_return_code,
 )
-from sixthsense.logs.log import Log, without_jumps
-from sixthsense.logs.refused import Refused
-from sixthsense.logs.stamps import from_zero_on, passed_s, unit_of
+from sixthsense.logs.log import Log
+from sixthsense.logs.stamps import ascending, unit_of
 from sixthsense.logs.text_lines import LARGEST, Record, records, shown
-from sixthsense.logs.units import SI, Units, check_bearings, check_odometry, check_ranges
+from sixthsense.logs.units import SI, Units, check_bearings
 
-FLASER, ROBOTLASER, RAWLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"RAWLASER1", b"ODOM"
-_SCANS = (ROBOTLASER, FLASER, RAWLASER)
-MESSAGES = (*_SCANS, ODOM, b"PARAM", b"SYNC", b"RLASER", b"ROBOTLASER2", b"RAWLASER2", b"TRUEPOS", b"MARKER")
+FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
+MESSAGES = (
+    ROBOTLASER, FLASER, ODOM, b"PARAM", b"SYNC", b"RLASER", b"ROBOTLASER2", b"RAWLASER1", b"TRUEPOS", b"MARKER"
+)  # fmt: skip
 """with which a log may begin"""
 _ODOM_FIELDS = 10
 """ODOM x y theta tv rv accel ipc_time host logger_time"""
 _FLASER_FIELDS = 11
 """FLASER n (here the n ranges) x y theta odom_x odom_y odom_theta ipc_time host logger_time"""
-_ROBOTLASER_HEAD = 9
-"""ROBOTLASER1 type start_angle fov resolution max_range accuracy remission_mode n, before the n ranges"""
-_ROBOTLASER_TAIL = 14
-"""x y theta odom_x odom_y odom_theta tv rv front side axis ipc_time host logger_time, after the m remissions"""
-_RAWLASER_TAIL = 3
-"""ipc_time host logger_time, after the m remissions; before these as in ROBOTLASER1"""
-_PARAMS = (b"robot_frontlaser_offset", b"robot_front_laser_max")
+_HEAD, _TAIL = 9, 14
+"""ROBOTLASER1 type start_angle fov resolution max_range accuracy remission_mode n, before the n ranges; and x y theta
+odom_x odom_y odom_theta tv rv front side axis ipc_time host logger_time, after the number of remissions and these"""
+_SAVED_RAD = 1e-5  # by which a field of view that was saved differs from that of the beams
+_OFFSET, _MAX = b"robot_frontlaser_offset", b"robot_front_laser_max"
 _MOST_DAMAGED = 1000
 """Lines without one that can be read, after which a file is none of this kind."""
 _MESSAGE_NAME = re.compile(rb"[A-Z][A-Z0-9_-]{0,39}")
@@ -80,7 +77,7 @@ class _Reading(NamedTuple):
     stamp_ns: int
     stamp_s: float
     poses: Array
-    """(2, 3) `T_odom_laser` and `T_odom_robot`; the latter twice on a line that has no scan or states no pose"""
+    """(2, 3) `T_odom_laser` and `T_odom_robot`; the latter twice on a line that has no scan"""
     geometry: _Geometry | None
     ranges: NDArray[np.float32]
     """(beams,) metres, at least 0, or inf"""
@@ -90,7 +87,7 @@ class _Reading(NamedTuple):
 class _Lines:
     """What the lines of a file say."""
 
-    units: Units = SI
+    units: Units
     """of the numbers of the file"""
     readings: list[_Reading] = field(default_factory=list)
     """in the order of the file"""
@@ -98,275 +95,159 @@ class _Lines:
     """number of lines of each message"""
     params: dict[bytes, float] = field(default_factory=dict)
     """values of the parameters that describe the laser, m"""
-    unmeasured: int = 0  # ranges that are negative or no number
-    stamps: tuple[int, str] | None = None
+    refused: list[str] = field(default_factory=list)
+    """what is wrong with lines that are left out"""
+    unit: tuple[int, str] | None = None
     """parts of a second, and their name, that stamps are in, by the first one"""
 
 
 def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units = SI) -> Log:
     """Read a CARMEN log: plain or compressed, recognised by the first bytes.
 
-    The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more, ROBOTLASER1 if they are as many;
-    without either, those of the RAWLASER1 lines, with odometry interpolated at their stamps. Other messages, as those
-    of a rear laser, are skipped. The lines say the number of beams, their directions (a FLASER line by its number of
-    beams, see `beams_by_count`, and by the turns that odometry sees, too), the laser's mount on the robot (the
-    difference of the two poses of a line) and its maximum range (as stated, or the value that beams without a return
-    repeat). A field of `laser` that was stated takes precedence.
+    The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more. Other messages, as those of a
+    rear laser, are skipped. The lines say the number of beams, their directions (a FLASER line by its number of beams,
+    see `beams_by_count`), the laser's mount on the robot (the difference of the two poses of a line) and its maximum
+    range (as stated, or the value that beams without a return repeat). A field of `laser` that was stated takes
+    precedence.
 
     Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Each scan has the beams
     and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
-    each has the stamp of its record, or 1 ns after the previous tick if that is later; stamps below 0 are moved. Stamps
-    that would be of a far future in seconds are in a part of a second. Raises
-    InputError for a file that cannot be read, is no CARMEN log, is in other `units`, or has no scan with a return.
+    each has the stamp of its record, or 1 ns after the previous tick if that is later. Stamps that would be of a far
+    future in seconds are in a part of a second. Raises InputError for a file that cannot be read, is no CARMEN log, or
+    has no scan with a return.
     """
     path, given = Path(file), laser or LaserConfig()
-    names = given.explicit_fields
-    remarks: list[str] = []
-    content = _read_lines(path, units, remarks)
-    kind = _kind_of_scans(path, content, remarks)
-    remarks += [f"{content.unmeasured} ranges that are negative or no number are no returns"] * (content.unmeasured > 0)
-    content.readings = [r for r in content.readings if r.geometry is None or r.kind == kind]
-    has_odometry = kind != RAWLASER or content.kinds[ODOM] > 0
-    if kind == RAWLASER and has_odometry:
-        content.readings = _with_odometry(content.readings)
-    geometries = _geometries(path, content.readings, given.beams if "beams" in names else None, remarks)
-    scans = [r for r in content.readings if r.geometry in geometries]
-    check_ranges(str(path), [reading.ranges for reading in scans])
-    _check_odometry(path, content.readings)
-    place = Pose(*given.mount) if "mount" in names else _mount(kind, scans, content, remarks)
-    reach = given.max_range if "max_range" in names else None
-    lasers = _lasers(scans, geometries, given.fov if "fov" in names else None, reach, content, remarks)
-    lasers = _by_turns(scans, lasers, given, remarks)
-    reach_of: dict[_Geometry | None, float] = {geometry: each.reach for geometry, each in lasers.items()}
-    if not any(((r.ranges > 0.0) & (r.ranges < np.float32(reach_of[r.geometry]))).any() for r in scans):
-        allowed = f"ranges above 0 and below {max(reach_of.values()):g} m"
-        raise InputError(path, f"found no return in {len(scans)} scans", allowed)
-    most = lasers[geometries[0]]
-    known = described(given, geometries[0].beams, most.beams.step, most.reach, place)
-    ticks = _ticks(content.readings, lasers, known, remarks)
-    ticks = list(without_jumps(ticks, [r.stamp_ns for r in content.readings], remarks))
-    return Log(ticks, known, remarks, has_odometry)
-
-
-def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:
-    """The message whose lines are the scans; InputError if the log has none of them."""
-    kinds = content.kinds
-    if not any(kinds[kind] for kind in _SCANS):
-        counts = (f"{count} {kind.decode()}" for kind, count in kinds.most_common(5) if count)
-        found = ", ".join(counts) or "no line at all"
-        raise InputError(path, f"found no FLASER, ROBOTLASER1 or RAWLASER1 line ({found})", "a log with laser scans")
-    kind = max((kind for kind in _SCANS[:2] if kinds[kind]), key=lambda kind: kinds[kind], default=RAWLASER)
-    if kinds[FLASER] and kinds[ROBOTLASER]:
-        both = f"found {kinds[FLASER]} FLASER and {kinds[ROBOTLASER]} ROBOTLASER1 lines"
-        remarks.append(f"{both}; the scans are those of {kind.decode()}")
-    return kind
-
-
-def _geometries(path: Path, readings: Sequence[_Reading], count: int | None, remarks: list[str]) -> list[_Geometry]:
-    """The geometries of the scans, the most frequent first; with a stated number of beams only those with it."""
-    found = Counter(reading.geometry for reading in readings if reading.geometry is not None)
-    wanted = range(2, MOST_BEAMS + 1) if count is None else (count,)
-    fitting = {geometry: scans for geometry, scans in found.items() if geometry.beams in wanted}
-    if not fitting:
-        counts = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found}))
-        allowed = f"2 to {MOST_BEAMS}" if count is None else f"{count} (laser.beams)"
-        raise InputError(path, f"found scans of {counts} beams", allowed)
-    others = found.total() - sum(fitting.values())
-    if others:
-        beams = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found if geometry not in fitting}))
-        remarks.append(f"{others} scans of another geometry ({beams} beams) are left out")
-    return sorted(fitting, key=lambda geometry: -fitting[geometry])
-
-
-class _Laser(NamedTuple):
-    """What the scans of a geometry are of."""
-
-    beams: Beams
-    reach: float
-    """maximum range, m"""
-
-
-def _lasers(
-    scans: Sequence[_Reading],
-    geometries: Sequence[_Geometry],
-    fov: float | None,
-    reach: float | None,
-    content: _Lines,
-    remarks: list[str],
-) -> dict[_Geometry, _Laser]:
-    """The laser of each geometry; `fov` and `reach` as the user has stated them."""
-    reaches: dict[float, float] = {}
-    for geometry in geometries:
-        if geometry.max_range not in reaches:
-            own = [r for r in scans if r.geometry is not None and r.geometry.max_range == geometry.max_range]
-            found = _max_range(own, geometry.max_range, content, remarks) if reach is None else reach
-            reaches[geometry.max_range] = found
-    return {each: _Laser(_beams(each, fov), reaches[each.max_range]) for each in geometries}
-
-
-def _check_odometry(path: Path, readings: Sequence[_Reading]) -> None:
-    poses = np.array([reading.poses[1] for reading in readings])
-    check_odometry(str(path), passed_s([reading.stamp_ns for reading in readings]), poses)
-
-
-def _beams(geometry: _Geometry, fov: float | None) -> Beams:
-    count = geometry.beams
-    if geometry.fov > 0.0:
-        beams = beams_as_stated(count, geometry.start, geometry.fov, geometry.resolution)
-    else:
-        beams = beams_by_count(count)
-    if fov is not None and abs(fov - beams.step * (count - 1)) > 1e-9:  # else it is that of a saved configuration
-        return beams_over(fov, count)
-    return beams
-
-
-def _by_turns(
-    scans: Sequence[_Reading], lasers: Mapping[_Geometry, _Laser], given: LaserConfig, remarks: list[str]
-) -> dict[_Geometry, _Laser]:
-    """The lasers with the beams that fit the turns of odometry, where nobody states them; remarks on what is assumed.
-
-    Scans that turn the other way round are told, and not mirrored: odometry may be as wrong.
-    """
-    out = dict(lasers)
-    for geometry, (beams, reach) in lasers.items():
-        own = [reading for reading in scans if reading.geometry == geometry]
-        is_stated = geometry.fov > 0.0 or "fov" in given.explicit_fields
-        fields = (math.pi,) if is_stated else FIELDS_RAD
-        side = -1.0 if given.mirrored else 1.0
-        ratios = [sign * field / math.pi for sign in (side, -side) for field in fields]
-        made = [Scan(r.ranges, np.float32(beams.first), np.float32(beams.step), reach) for r in own]
-        ratio = seen_ratio(made, np.array([reading.poses[1] for reading in own]), ratios)
-        if ratio is not None and ratio * side < 0.0:
-            remarks.append(MIRRORED)
-        if is_stated:
-            continue
-        if ratio is not None:
-            out[geometry] = _Laser(beams_by_count(geometry.beams, abs(ratio) * math.pi), reach)
-        first, step = (math.degrees(angle) for angle in out[geometry].beams)
-        by = "" if ratio is None else ", by the turns that odometry and scans see"
-        remarks.append(
-            f"assumed: {geometry.beams} beams from {first:g} to {first + step * (geometry.beams - 1):g} degrees{by}, "
-            "since a FLASER line does not say their directions (otherwise set `laser.fov`)"
+    content = _read_lines(path, units)
+    counts = {kind: content.kinds[kind] for kind in (ROBOTLASER, FLASER)}
+    if not any(counts.values()):
+        there = (
+            ", ".join(f"{count} {kind.decode()}" for kind, count in content.kinds.most_common(5)) or "no line at all"
         )
-    return out
+        raise InputError(path, f"found no FLASER or ROBOTLASER1 line ({there})", "a log with laser scans")
+    kind = max(counts, key=lambda each: counts[each])
+    readings = [reading for reading in content.readings if reading.geometry is None or reading.kind == kind]
+    found = _found(content, readings, len(content.readings) - len(readings))
+    wanted = {given.beams} if "beams" in given.explicit_fields else range(2, MOST_BEAMS + 1)
+    scans = [reading for reading in readings if reading.geometry is not None and reading.geometry.beams in wanted]
+    if not scans:
+        beams = ", ".join(str(n) for n in sorted({r.geometry.beams for r in readings if r.geometry is not None}))
+        raise InputError(path, f"found scans of {beams} beams", f"{given.beams} (laser.beams)")
+    mount = _mount(scans, given, content.params.get(_OFFSET, 0.0), found)
+    reaches = _reaches(scans, given, content.params.get(_MAX, 0.0), found)
+    stamps = ascending([reading.stamp_ns for reading in readings])
+    odometry = Odometry(stamps, np.array([reading.poses[1] for reading in readings]))
+    made = []
+    for reading, stamp_ns in zip(readings, stamps.tolist(), strict=True):
+        if reading.geometry is not None and reading.geometry.beams in wanted:
+            scan = _scan(reading, reading.geometry, reaches[reading.geometry.max_range], given, mount)
+            made.append(Sighting(stamp_ns, scan, reading.stamp_s))
+    found += faults_of([reading.ranges for reading in scans], [each.scan for each in made])
+    candidates: Sequence[Beams] = ()
+    if kind == FLASER and "fov" not in given.explicit_fields and len({reading.geometry for reading in scans}) == 1:
+        candidates = beams_by_count(len(scans[0].ranges))
+    return Log.of(made, odometry, given, found, candidates)
 
 
-def _mount(kind: bytes, scans: Sequence[_Reading], content: _Lines, remarks: list[str]) -> Pose:
-    place = None if kind == RAWLASER else mount_from_poses(*np.stack([r.poses for r in scans], axis=1))
+def _found(content: _Lines, readings: Sequence[_Reading], others: int) -> list[Finding]:
+    """What is odd in the lines of a file."""
+    found = []
+    unmeasured = sum(int(np.count_nonzero(reading.ranges < 0.0)) for reading in readings)
+    if unmeasured:
+        found.append(Finding("left_out", unmeasured, place="ranges that are negative or no number are no returns"))
+    if others:
+        found.append(Finding("left_out", others, place="scans of the other of FLASER and ROBOTLASER1 are left out"))
+    if content.refused:
+        text = f"lines are left out, the first: {content.refused[0]}"
+        found.append(Finding("left_out", len(content.refused), place=text))
+    if content.unit is not None and content.unit[0] > 1:
+        found.append(Finding("stamps_unit", place=content.unit[1]))
+    return found
+
+
+def _mount(scans: Sequence[_Reading], given: LaserConfig, ahead_m: float, found: list[Finding]) -> Pose:
+    """As stated, as both poses of the lines have it, or as a parameter has it."""
+    if "mount" in given.explicit_fields:
+        return Pose(*given.mount)
+    place = mount_from_poses(*np.stack([reading.poses for reading in scans], axis=1))
     if place is not None:
         return place
-    ahead_m = content.params.get(b"robot_frontlaser_offset", 0.0)
-    where = f"{ahead_m:g} m ahead of the robot's centre (robot_frontlaser_offset)" if ahead_m else "the robot's centre"
-    why = (
-        "RAWLASER1 lines do not state it" if kind == RAWLASER else "its poses do not move as one body with the robot's"
-    )
-    remarks.append(f"assumed: the laser at {where}, since {why} (otherwise set `laser.mount`)")
+    where = f"{ahead_m:g} m ahead of the robot's centre ({_OFFSET.decode()})" if ahead_m else "the robot's centre"
+    why = "since its poses do not move as one body with the robot's"
+    found.append(Finding("assumed_mount", place=f"{where}, {why}"))
     return Pose(ahead_m, 0.0, 0.0)
 
 
-def _with_odometry(readings: Sequence[_Reading]) -> list[_Reading]:
-    """The readings with odometry at the scans: interpolated at their stamps, or of the line before where these repeat.
-
-    Scans before the first odometry have that.
-    """
-    rows = [row for row, reading in enumerate(readings) if reading.geometry is None]
-    stamps = np.array([readings[row].stamp_s for row in rows])
-    poses = np.array([readings[row].poses[1] for row in rows])
-    if np.all(np.diff(stamps) > 0.0):
-        found = interpolated(stamps, poses, np.array([reading.stamp_s for reading in readings]))
-    else:
-        found = poses[np.maximum(np.searchsorted(rows, np.arange(len(readings)), side="right") - 1, 0)]
-    return [
-        reading if reading.geometry is None else reading._replace(poses=np.tile(pose, (2, 1)))
-        for reading, pose in zip(readings, found, strict=True)
-    ]
-
-
-def _max_range(scans: Sequence[_Reading], stated: float, content: _Lines, remarks: list[str]) -> float:
-    """Metres: as the lines state, as the repeated code for no return, as a parameter says, else above all ranges."""
-    ranges = [reading.ranges for reading in scans]
-    code = no_return_code(ranges)
-    if code is not None and code < stated:
-        remarks.append(f"assumed: ranges from {code:.2f} m on are no returns, since many beams repeat such a value")
-        return min(code, FARTHEST_M)
-    parameter = content.params.get(b"robot_front_laser_max", 0.0)
-    if stated == math.inf and parameter > 0.0:
-        stated = parameter
-    return min(stated, FARTHEST_M) if stated < math.inf else max_range_of(ranges)
+def _reaches(
+    scans: Sequence[_Reading], given: LaserConfig, parameter: float, found: list[Finding]
+) -> dict[float, float]:
+    """Maximum ranges by those that lines state, m: as the user or the lines state, as codes, as a parameter says."""
+    reaches: dict[float, float] = {}
+    for stated in {reading.geometry.max_range for reading in scans if reading.geometry is not None}:
+        if "max_range" in given.explicit_fields:
+            reaches[stated] = given.max_range
+            continue
+        ranges = [r.ranges for r in scans if r.geometry is not None and r.geometry.max_range == stated]
+        known = parameter if stated == math.inf and parameter > 0.0 else stated
+        code = no_return_code(ranges)
+        if code is not None and code < stated:
+            found.append(Finding("assumed_range", code, place="since many beams repeat such a value"))
+            known = code
+        reaches[stated] = min(known, FARTHEST_M) if known < math.inf else max_range_of(ranges)
+    return reaches
 
 
-def _ticks(
-    readings: Sequence[_Reading], lasers: Mapping[_Geometry, _Laser], given: LaserConfig, remarks: list[str]
-) -> list[Tick]:
-    """A tick per line, with a scan where the line has one of these geometries."""
-    ticks: list[Tick] = []
-    place, lag = Pose(*given.mount), time_increment(given)
-    stamps = from_zero_on(np.array([reading.stamp_ns for reading in readings], dtype=np.int64), remarks)
-    stamp_ns = -1
-    for reading, own_ns in zip(readings, stamps.tolist(), strict=True):
-        scan = None
-        if reading.geometry is not None and reading.geometry in lasers:
-            (first, step), reach = lasers[reading.geometry]
-            ranges = np.where(reading.ranges < np.float32(reach), reading.ranges, np.float32(np.inf))
-            ranges.flags.writeable = False
-            scan = Scan(ranges, np.float32(first), np.float32(step), reach, place, lag)
-            scan = scan.mirrored() if given.mirrored else scan
-        stamp_ns = max(own_ns, stamp_ns + 1)
-        own_s = None if scan is None else reading.stamp_s
-        ticks.append(Tick(stamp_ns, Pose.from_array(reading.poses[1]), scan, log_stamp_s=own_s))
-    return ticks
+def _scan(reading: _Reading, geometry: _Geometry, reach: float, given: LaserConfig, mount: Pose) -> Scan:
+    """The scan of a line, with its own beams unless the user has stated others."""
+    count, beams = geometry.beams, beams_by_count(geometry.beams)[0]
+    if geometry.fov > 0.0:
+        beams = beams_as_stated(count, geometry.start, geometry.fov, geometry.resolution)
+    is_stated = "fov" in given.explicit_fields and abs(given.fov - beams.step * (count - 1)) > _SAVED_RAD
+    first, step = beams_over(given.fov, count) if is_stated else beams  # else it is that of a saved configuration
+    is_return = (reading.ranges >= 0.0) & (reading.ranges < np.float32(reach))
+    ranges = np.where(is_return, reading.ranges, np.float32(np.inf))
+    ranges.flags.writeable = False
+    scan = Scan(ranges, np.float32(first), np.float32(step), reach, mount, time_increment(given))
+    return scan.mirrored() if given.mirrored else scan
 
 
-def _read_lines(path: Path, units: Units, remarks: list[str]) -> _Lines:
-    """Parse the lines of a file; those that are damaged are left out, and counted in a remark.
+def _read_lines(path: Path, units: Units) -> _Lines:
+    """Parse the lines of a file; those that are damaged are left out.
 
     Raises InputError for a file that cannot be read, and for one whose lines are all damaged.
     """
-    content, refused, count, last = _Lines(units), Refused(), 0, 0
-    for record in records(path):
-        count += 1
+    content = _Lines(units)
+    for count, record in enumerate(records(path), 1):
         try:
             _take(content, record)
         except InputError as error:
-            last = count
-            refused.add("lines", error.at(error.where.removeprefix(f"{path} ")))
-            if refused.count("lines") == count >= _MOST_DAMAGED:
+            content.refused.append(str(error.at(error.where.removeprefix(f"{path} "))))
+            if len(content.refused) == count >= _MOST_DAMAGED:
                 break
-    if content.stamps is not None and content.stamps[0] > 1:
-        first_s = content.readings[0].stamp_s
-        remarks.append(f"stamps are taken as {content.stamps[1]} since 1970: the first as {first_s:.6f} s")
-    damaged = refused.count("lines")
-    if damaged and not any(reading.geometry is not None for reading in content.readings):
-        raise InputError("", f"{path} {refused.first('lines')}")
-    if damaged == 1 and last == count:
-        remarks.append(f"the last line is damaged and left out ({refused.first('lines')})")
-    elif damaged:
-        remarks += refused.remarks({"lines": count}, "lines")
+    if content.refused and not any(reading.geometry is not None for reading in content.readings):
+        raise InputError("", f"{path} {content.refused[0]}")
     return content
 
 
 def _take(content: _Lines, record: Record) -> None:
     fields, kind = record.fields, record.fields[0]
-    read = {FLASER: _flaser, ROBOTLASER: _robotlaser, RAWLASER: _rawlaser, ODOM: _odom}.get(kind)
+    read = {FLASER: _flaser, ROBOTLASER: _robotlaser, ODOM: _odom}.get(kind)
     if read is not None:
         scan = read(record, content.units)  # which checks the number of fields
-        content.unmeasured += int(np.count_nonzero(scan[2] < 0.0))
-        scan[2][scan[2] < 0.0] = np.inf
         stamp = fields[-3]
-        parts, unit = content.stamps or unit_of(record.parsed([stamp]))
+        content.unit = content.unit or unit_of(record.parsed([stamp]))
+        parts = content.unit[0]
         content.readings.append(_Reading(kind, record.stamp_ns(stamp, parts), float(stamp) / parts, *scan))
-        content.stamps = parts, unit
     elif not _MESSAGE_NAME.fullmatch(kind):
         record.fail(f"found {shown(kind)}, allowed: a CARMEN message, as ODOM or FLASER")
-    elif any(name.startswith(kind) for name in (*_SCANS, ODOM)):
+    elif any(name.startswith(kind) for name in (FLASER, ROBOTLASER, ODOM)):
         record.fail(f"found {shown(kind)}, a CARMEN line cut short")
-    elif kind == b"PARAM" and len(fields) > 2 and fields[1] in _PARAMS:
+    elif kind == b"PARAM" and len(fields) > 2 and fields[1] in (_OFFSET, _MAX):
         content.params[fields[1]] = float(record.numbers(fields[2:3])[0])
     content.kinds[kind] += 1
 
 
 _Line = tuple[Array, _Geometry | None, NDArray[np.float32]]
-"""poses and scan, as in a `_Reading`"""
+"""poses and scan, as in a `_Reading`; ranges of -1 are negative or no number"""
 
 
 def _odom(record: Record, units: Units) -> _Line:
@@ -380,29 +261,12 @@ def _flaser(record: Record, units: Units) -> _Line:
     return _poses(record, -9, -3, units), _Geometry(count), _ranges(record, 2, count, units)
 
 
-def _poses(record: Record, first: int, past: int, units: Units) -> Array:
-    """(n, 3) poses in fields, m and rad."""
-    scale = (units.odometry, units.odometry, units.headings)
-    return np.asarray(record.numbers(record.fields[first:past]).reshape(-1, 3) * scale)
-
-
 def _robotlaser(record: Record, units: Units) -> _Line:
-    return _poses(record, -14, -8, units), *_stated_scan(record, units, _ROBOTLASER_TAIL)
-
-
-def _rawlaser(record: Record, units: Units) -> _Line:
-    return np.zeros((2, 3)), *_stated_scan(record, units, _RAWLASER_TAIL)
-
-
-def _stated_scan(record: Record, units: Units, tail: int) -> tuple[_Geometry, NDArray[np.float32]]:
-    """A scan that states its beams, with its remissions or, as CARMEN's own description of the format has it, without.
-
-    `tail` is the number of fields behind these.
-    """
-    count = _count(record, _ROBOTLASER_HEAD - 1)
-    if len(record.fields) != _ROBOTLASER_HEAD + count + tail:
-        remissions = _count(record, _ROBOTLASER_HEAD + count, "remissions")
-        expected = _ROBOTLASER_HEAD + count + 1 + remissions + tail
+    """A scan that states its beams, with its remissions or, as CARMEN's own description has it, without."""
+    count = _count(record, _HEAD - 1)
+    if len(record.fields) != _HEAD + count + _TAIL:
+        remissions = _count(record, _HEAD + count, "remissions")
+        expected = _HEAD + count + 1 + remissions + _TAIL
         _expect(record, expected, f" with {count} ranges and {remissions} remissions")
     start, fov, resolution, max_range = record.numbers(record.fields[2:6])
     start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
@@ -414,7 +278,13 @@ def _stated_scan(record: Record, units: Units, tail: int) -> tuple[_Geometry, ND
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
         record.fail(f"found start angle {start:g} and field of view {fov:g}, allowed: radians of up to a full circle")
     geometry = _Geometry(count, start, fov, resolution, max_range if max_range > 0.0 else math.inf)
-    return geometry, _ranges(record, _ROBOTLASER_HEAD, count, units)
+    return _poses(record, -14, -8, units), geometry, _ranges(record, _HEAD, count, units)
+
+
+def _poses(record: Record, first: int, past: int, units: Units) -> Array:
+    """(n, 3) poses in fields, m and rad."""
+    scale = (units.odometry, units.odometry, units.headings)
+    return np.asarray(record.numbers(record.fields[first:past]).reshape(-1, 3) * scale)
 
 
 def _count(record: Record, place: int, what: str = "ranges") -> int:
@@ -433,7 +303,7 @@ def _expect(record: Record, count: int, what: str = "") -> None:
 
 def _ranges(record: Record, first: int, count: int, units: Units) -> NDArray[np.float32]:
     """(count,) metres, or inf, from field `first` on; -1 for one that is negative or no number."""
-    if count < 2:
+    if not 2 <= count <= MOST_BEAMS:
         record.fail(f"found {count} ranges, allowed: 2 to {MOST_BEAMS}")
     values = units.ranges * record.parsed(record.fields[first : first + count])
     values[values > LARGEST] = np.inf  # these may overflow a float32

@@ -1,7 +1,8 @@
-"""Graphs of poses and landmarks in the text formats of GTSAM, TORO and g2o, replayed pose by pose."""
+"""Graphs of poses and landmarks in the text formats of GTSAM and g2o, replayed pose by pose."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +28,6 @@ _SLACK = 1e-12
 
 # Rows and columns of the numbers of the upper triangle in the matrix, in the order of the file.
 _BY_ROWS, _PLANE = np.triu_indices(3), np.triu_indices(2)
-_TORO = tuple(np.array(index)[[0, 1, 3, 5, 2, 4]] for index in _BY_ROWS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +40,11 @@ class _Form:
     """whether the numbers are an information matrix, else a covariance"""
 
 
-_MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE2": _Form(_TORO, True), b"EDGE_SE2": _Form(_BY_ROWS, True)}
+_MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE_SE2": _Form(_BY_ROWS, True)}
 _POINTS = {b"LANDMARK": _Form(_PLANE, False), b"EDGE_SE2_XY": _Form(_PLANE, True)}
 _POSES = (b"VERTEX2", b"VERTEX_SE2")
-TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
+_FIX = b"FIX"
+TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY", _FIX)
 
 
 def read_graph(file: str | Path) -> Log:
@@ -54,7 +55,6 @@ def read_graph(file: str | Path) -> Log:
 
         ODOMETRY i j x y theta  xx xy xt yy yt tt     GTSAM: the upper triangle of the COVARIANCE, by rows
         EDGE_SE2 i j x y theta  xx xy xt yy yt tt     g2o: the upper triangle of the INFORMATION, by rows
-        EDGE2    i j x y theta  xx xy yy tt xt yt     TORO: of the INFORMATION, in TORO's own order
 
     (x y theta) is pose j seen from pose i, and its error has the axes of j, as GTSAM and g2o define it. Landmarks:
 
@@ -62,8 +62,8 @@ def read_graph(file: str | Path) -> Log:
         EDGE_SE2_XY i l x y  xx xy yy                 g2o: the same with INFORMATION
         BR          i l bearing range  s_b s_r        GTSAM: with two sigmas, rad and m
 
-    Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are skipped. Poses and landmarks share one
-    space of ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
+    Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) and FIX are skipped. Both share one space of
+    ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
     observations; odometry begins at zero. Raises InputError, naming file and line, for any other tag; an edge of a pose
     that no way leads to; a landmark that is seen before its pose, or twice from one
     pose, or has the id of a pose; an invalid number; an invalid covariance.
@@ -81,7 +81,8 @@ def read_graph(file: str | Path) -> Log:
         tag = record.fields[0]
         if tag not in TAGS:
             record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in TAGS)}")
-        _READERS[tag](graph, record)
+        if tag != _FIX:
+            _READERS[tag](graph, record)
     if len(graph.ticks) < 2:
         raise InputError(path, "found no edge between poses", f"a graph with {b', '.join(_MOTIONS).decode()}")
     _add_closures(graph)
@@ -190,7 +191,7 @@ def _read_landmark(graph: _Graph, record: Record) -> None:
 def _read_vertex(graph: _Graph, record: Record) -> None:
     kind = "pose" if record.fields[0] in _POSES else "landmark"
     _expect(record, 4 if kind == "pose" else 3)
-    vertex = record.whole(1, "id")
+    vertex = _id(record, 1)
     record.numbers(record.fields[2:])
     if graph.guessed.get(vertex) == kind:
         record.fail(f"found {kind} {vertex} again, allowed: a new one")
@@ -214,7 +215,15 @@ def _expect(record: Record, count: int) -> None:
 
 def _ids(record: Record, count: int) -> tuple[int, int]:
     _expect(record, count)
-    return record.whole(1, "id"), record.whole(2, "id")
+    return _id(record, 1), _id(record, 2)
+
+
+def _id(record: Record, column: int) -> int:
+    """The id in a column; GTSAM writes its symbols as a letter in the highest of 8 bytes."""
+    text = record.fields[column]
+    if re.fullmatch(rb"[a-zA-Z]\d+", text) or (text.isdigit() and len(text) <= 20 and int(text) >> 56):
+        record.fail(f"found {shown(text)}, a symbol of GTSAM, allowed: whole numbers, as of poses renumbered from 0")
+    return record.whole(column, "id")
 
 
 def _bounded(record: Record, values: Array) -> Array:

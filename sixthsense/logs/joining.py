@@ -1,189 +1,140 @@
-"""Joining the scans and the odometry of a bag: ticks in order, also where one begins or ends without the other."""
+"""Joining scans and odometry, each with stamps of its own: ticks in order, also where one comes without the other."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import Tick, seconds
-from sixthsense.logs.clocks import MIRRORED, are_mirrored, clock_offset_s, least_s
-from sixthsense.logs.log import longest_s, pose_between
-from sixthsense.logs.stamps import passed_s, shown_span
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import between, compose
+from sixthsense.core.source import Tick
+from sixthsense.logs.stamps import passed_s
 
-_Row = tuple[int, Pose | None, dict[str, Any]]
-"""stamp and odometry of a tick, and what it has of a scan"""
+Stamps = NDArray[np.int64]
 
-_AGREE_S = 1.0  # by which the offset by times of recording differs from that by turns: what messages take
+GAP_S = 0.5
+"""No pose is interpolated in a longer gap of odometry."""
+JOLT_M, JOLT_RAD = 0.5, 0.5
+"""by which odometry may move at any moment, beside what the robot's speed allows"""
+_FASTEST, _FASTEST_RAD = 5.0, 5.0  # m/s and rad/s of a robot on wheels in a building
 
 
-class Stamped(NamedTuple):
-    """A scan or a pose of odometry, with its times."""
+class Sighting(NamedTuple):
+    """A scan with its stamps."""
 
-    own_ns: int
-    """stamp that puts it in order: that of its header, or of its recording"""
-    record_ns: int
-    """time of its recording"""
-    place: int
-    """in the order of the file"""
-    value: Pose | Scan
-    """`T_odom_robot`, or the scan"""
+    stamp_ns: int
+    """of its last beam"""
+    scan: Scan
+    own_s: float
+    """stamp that relations refer to: of its header, seconds"""
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Poses by the wheels, in order."""
+
+    stamps_ns: Stamps
+    """(M,) ascending"""
+    poses: Array
+    """(M, 3) `T_odom_robot`"""
+
+    def later(self, offset_s: float) -> Odometry:
+        """The same poses at stamps that are so much later, s."""
+        return replace(self, stamps_ns=self.stamps_ns + round(1e9 * offset_s)) if offset_s else self
 
     @property
-    def end_ns(self) -> int:
-        """Stamp of the last beam of a scan; that of a pose."""
-        if isinstance(self.value, Pose):
-            return self.own_ns
-        return self.own_ns - sweep_ns(len(self.value.ranges), self.value.time_increment)
+    def usual_s(self) -> float:
+        """Usual time between two poses, s; 0 where no stamp tells any."""
+        usual_s = float(np.median(passed_s(self.stamps_ns))) if len(self.poses) > 1 else 0.0
+        return usual_s if np.isfinite(usual_s) else 0.0
+
+    def jumps(self) -> NDArray[np.int64]:
+        """Rows of the poses that no robot on wheels reaches from the one before in the time that has passed.
+
+        Its driver was started again, or the poses are of a map that was corrected. Where stamps tell no time, no motion
+        is a jump.
+        """
+        passed, steps = passed_s(self.stamps_ns), np.diff(self.poses, axis=0)
+        moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
+        passed[1:] += np.where(steps[:-1].any(axis=1), 0.0, passed[:-1])  # a record may repeat an old pose, late
+        is_jump = (moved_m > _FASTEST * passed + JOLT_M) | (turned > _FASTEST_RAD * passed + JOLT_RAD)
+        return np.asarray(np.flatnonzero(is_jump) + 1)
+
+    def continued(self) -> Odometry:
+        """The odometry that goes on from where it was after each jump: scans tell what the robot did meanwhile."""
+        poses = self.poses
+        for row in self.jumps().tolist():
+            T_before, T_after = (Pose.from_array(poses[k]) for k in (row - 1, row))
+            back = (T_before @ T_after.inverse()).array()
+            poses = np.concatenate([poses[:row], compose(np.broadcast_to(back, poses[row:].shape), poses[row:])])
+        return replace(self, poses=poses)
 
 
-def one_clock(
-    scans: Sequence[Stamped], odometry: Sequence[Stamped], remarks: list[str]
-) -> tuple[list[Stamped], list[Stamped]]:
-    """Scans and odometry with stamps of one clock; a line on what was set right is added to the remarks.
+def pose_at(odometry: Odometry, at_ns: Stamps, longest_s: float = GAP_S) -> Array:
+    """(K, 3) `T_odom_robot` at stamps (K,), interpolated as a share of the motion between two poses; NaN where unknown.
 
-    If their clocks differ by a constant, scans are set back by what the times of recording say of it, if these are
-    farther from the stamps of scans; odometry is set right by the rest. Raises ValueError for two that share no time,
-    and no turns that would tell by how much they differ.
+    It is unknown a usual period before the first pose and after the last, and in a gap that is longer than `longest_s`,
+    unless the robot has stood in it.
     """
-    stamps = np.array([each.own_ns for each in odometry], dtype=np.int64)
-    headings = np.array([each.value.theta for each in odometry if isinstance(each.value, Pose)])
-    seen = [(each.own_ns, each.value) for each in scans if isinstance(each.value, Scan)]
-    offset_s = clock_offset_s(seen, stamps, headings)
-    if not offset_s:
-        if offset_s is None and are_mirrored(seen, stamps, headings):
-            remarks.append(MIRRORED)
-        if scans[0].own_ns > stamps[-1] or scans[-1].own_ns < stamps[0]:
-            spans = shown_span([each.own_ns for each in scans]), shown_span(stamps)
-            raise ValueError(f"found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
-        return list(scans), list(odometry)
-    delays_s = [seconds(float(np.median([each.record_ns - each.own_ns for each in of]))) for of in (scans, odometry)]
-    by_record_s = delays_s[1] - delays_s[0]
-    is_of_scans = abs(delays_s[0]) > abs(delays_s[1]) and abs(offset_s - by_record_s) < _AGREE_S
-    back_s = by_record_s if is_of_scans else 0.0
-    ahead_s = offset_s - back_s if abs(offset_s - back_s) >= least_s(stamps) else 0.0
-    shifts = (("scans", -back_s), ("odometry", ahead_s))
-    moved = " and ".join(
-        f"those of {name} {'ahead' if by_s > 0.0 else 'back'} by {abs(by_s):.2f} s" for name, by_s in shifts if by_s
-    )
-    lead = "lead" if offset_s > 0.0 else "lag behind"
-    remarks.append(
-        f"scans {lead} odometry by {abs(offset_s):.2f} s, by the turns that both see (other clocks?): stamps are set "
-        f"right, {moved}"
-    )
-    return _shifted(scans, -back_s), _shifted(odometry, ahead_s)
+    stamps, poses = odometry.stamps_ns, odometry.poses
+    usual_ns = 1e9 * odometry.usual_s
+    row = np.clip(np.searchsorted(stamps, at_ns, side="right") - 1, 0, max(len(stamps) - 2, 0))
+    after = np.minimum(row + 1, len(stamps) - 1)
+    gap_ns = np.maximum(stamps[after] - stamps[row], 1)
+    share = np.clip((at_ns - stamps[row]) / gap_ns, 0.0, 1.0)
+    motion = between(poses[row], poses[after])
+    out = np.where((share == 1.0)[:, None], poses[after], compose(poses[row], share[:, None] * motion))
+    out[share == 0.0] = poses[row[share == 0.0]]
+    is_far = (gap_ns > 1e9 * longest_s) & motion.any(axis=1) & (share > 0.0) & (share < 1.0)
+    out[is_far | (stamps[0] - at_ns > usual_ns) | (at_ns - stamps[-1] > usual_ns)] = np.nan
+    return np.asarray(out)
 
 
-def _shifted(stamped: Sequence[Stamped], by_s: float) -> list[Stamped]:
-    by_ns = round(1e9 * by_s)
-    return [each._replace(own_ns=each.own_ns + by_ns) for each in stamped]
+def pose_between(before: tuple[int, Pose], after: tuple[int, Pose], at_ns: int) -> Pose:
+    """The same at a stamp between two poses, each with its stamp, ns."""
+    known = Odometry(np.array([before[0], after[0]]), np.array([before[1].array(), after[1].array()]))
+    return Pose.from_array(pose_at(known, np.array([at_ns]), np.inf)[0])
 
 
-def joined(
-    scans: Sequence[Stamped], odometry: Sequence[Stamped], own_s: Sequence[float], by_stamps: bool, remarks: list[str]
-) -> list[Tick]:
-    """One tick per scan and per pose, and one for both with the same stamp; at least 1 ns apart.
+def joined(sightings: Sequence[Sighting], odometry: Odometry | None) -> list[Tick]:
+    """One tick per scan and per pose, and one for both with the same stamp; at least 1 ns apart, none before 0.
 
-    They are sorted by their stamps, or keep the order of the file; `own_s` are the log's stamps of the scans. The
-    odometry of a scan is interpolated at its stamp. Scans before and after all odometry, and in a long pause during
-    which it has moved, have none: they go on alone, and odometry after them goes on from there. Lines that say when are
-    added to the remarks.
+    The odometry of a scan is interpolated at its stamp. Scans before and after all odometry, and in a gap of it, keep
+    the pose of the tick before, and odometry after them goes on from there; so it does after a jump. Without odometry
+    the robot stands at the first scan.
     """
-    entries = sorted(
-        [(each, own) for each, own in zip(scans, own_s, strict=True)] + [(each, 0.0) for each in odometry],
-        key=(lambda e: (e[0].end_ns, isinstance(e[0].value, Scan))) if by_stamps else (lambda e: e[0].place),
-    )
-    known = _Known(odometry, by_stamps)
-    rows: list[_Row] = []
-    last, since = -1, 0
-    for each, own in entries:
-        if isinstance(each.value, Pose):
-            last, since = last + 1, 0
-            rows.append((each.own_ns, each.value, {}))
-            continue
-        seen = {"scan": each.value, "log_stamp_s": own}
-        if rows and not rows[-1][2] and each.end_ns == odometry[last].own_ns:
-            rows[-1][2].update(seen)
-            continue
-        pose = known.at(each.end_ns) if by_stamps else known.after(last, since)
-        rows.append((each.end_ns, pose, seen))
-        since += 1
-    ticks, alone = _held(rows, known.poses[0])
-    remarks += _times_alone(ticks, alone)
-    return ticks
-
-
-def _held(rows: Sequence[_Row], first: Pose) -> tuple[list[Tick], list[int]]:
-    """Ticks, and the rows of those whose scans have no odometry.
-
-    They keep the pose of the tick before, or have the `first` at the beginning. Odometry goes on from there.
-    """
+    seen_ns = np.array([each.stamp_ns for each in sightings], dtype=np.int64)
+    if odometry is None:
+        odometry = Odometry(seen_ns, np.zeros((len(seen_ns), 3)))
+    odometry = odometry.continued()
+    at_scans = pose_at(odometry, seen_ns, max(GAP_S, 3.0 * odometry.usual_s))
+    rows = np.searchsorted(odometry.stamps_ns, seen_ns, side="right") - 1
+    is_new = np.diff(seen_ns, prepend=seen_ns[0] - 1) != 0  # of scans with one stamp the first has the tick of the pose
+    same = (rows >= 0) & (odometry.stamps_ns[rows] == seen_ns) & is_new
+    of_scan = np.full(len(odometry.stamps_ns), -1)
+    of_scan[rows[same]] = np.flatnonzero(same)
+    entries = [
+        (ns, 0, pose, k)
+        for ns, pose, k in zip(odometry.stamps_ns.tolist(), odometry.poses, of_scan.tolist(), strict=True)
+    ]
+    entries += [(int(seen_ns[k]), 1, at_scans[k], k) for k in np.flatnonzero(~same).tolist()]
+    entries.sort(key=lambda entry: entry[:2])
+    first_ns = min(entries[0][0], 0)
     ticks: list[Tick] = []
-    alone: list[int] = []
     T_held, is_alone = Pose(), False
-    for stamp_ns, T_odom_robot, seen in rows:
-        held = ticks[-1].odometry if ticks else first
-        if T_odom_robot is None:
-            alone.append(len(ticks))
-        elif is_alone:
+    for ns, _, row, k in entries:
+        is_known, held = bool(np.isfinite(row[0])), ticks[-1].odometry if ticks else Pose.from_array(odometry.poses[0])
+        T_odom_robot = Pose.from_array(row) if is_known else held
+        if is_known and is_alone:
             T_held = held @ T_odom_robot.inverse()
-        pose = held if T_odom_robot is None else T_held @ T_odom_robot
-        at_ns = max(stamp_ns, ticks[-1].stamp_ns + 1) if ticks else stamp_ns
-        ticks.append(Tick(at_ns, pose, is_unmeasured=T_odom_robot is None or is_alone, **seen))
-        is_alone = T_odom_robot is None
-    return ticks, alone
-
-
-class _Known:
-    """Odometry at a stamp, where it is known."""
-
-    def __init__(self, odometry: Sequence[Stamped], by_stamps: bool) -> None:
-        self.stamps_ns: NDArray[np.int64] = np.array([each.own_ns for each in odometry], dtype=np.int64)
-        self.poses = [each.value for each in odometry if isinstance(each.value, Pose)]
-        usual_s = float(np.median(passed_s(self.stamps_ns))) if by_stamps and len(odometry) > 1 else 0.0
-        self._usual_ns, self._longest_ns = round(1e9 * usual_s), round(1e9 * longest_s(usual_s))
-
-    def at(self, at_ns: int) -> Pose | None:
-        """`T_odom_robot` at a stamp; None a period before the first and after the last, and in a long pause."""
-        row = int(np.searchsorted(self.stamps_ns, at_ns, side="right")) - 1
-        if row < 0:
-            return self.poses[0] if self.stamps_ns[0] - at_ns <= self._usual_ns else None
-        before_ns, before = int(self.stamps_ns[row]), self.poses[row]
-        if row + 1 == len(self.poses):
-            return before if at_ns - before_ns <= self._usual_ns else None
-        after_ns, after = int(self.stamps_ns[row + 1]), self.poses[row + 1]
-        if before_ns == at_ns or before == after:
-            return before
-        if after_ns - before_ns > self._longest_ns:
-            return None
-        return pose_between((before_ns, before), (after_ns, after), at_ns)
-
-    def after(self, last: int, since: int) -> Pose | None:
-        """The same by the order of the file: at scan number `since` after pose `last`."""
-        if last < 0 or (last + 1 == len(self.poses) and since > 0):
-            return None
-        return self.poses[last]
-
-
-def _times_alone(ticks: Sequence[Tick], alone: Sequence[int]) -> list[str]:
-    """A line on the scans that have no odometry, if there are more than a moment's."""
-    rows = np.array(alone, dtype=np.int64)
-    if not len(rows):
-        return []
-    stamps_s = 1e-9 * np.array([tick.stamp_ns - ticks[0].stamp_ns for tick in ticks])
-    spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    lines = []
-    for span in spans:
-        if len(span) == 1:
-            continue  # a scan that ends after the last odometry, of any bag
-        begin_s, end_s = stamps_s[span[0]], stamps_s[span[-1]]
-        when = "at the beginning" if span[0] == 0 else "at the end" if span[-1] == len(ticks) - 1 else "in a pause"
-        lines.append(f"{begin_s:.1f} to {end_s:.1f} s ({len(span)} scans, {when})")
-    if not lines:
-        return []
-    shown = ", ".join(lines[:4]) + f" and {len(lines) - 4} more" * (len(lines) > 4)
-    return [f"no odometry from {shown}: these scans go on alone, each predicted by the last velocity"]
+        pose = (T_odom_robot if T_held == Pose() else T_held @ T_odom_robot) if is_known else held
+        at_ns = max(ns - first_ns, ticks[-1].stamp_ns + 1) if ticks else ns - first_ns
+        scan, own_s = (sightings[k].scan, sightings[k].own_s) if k >= 0 else (None, None)
+        ticks.append(Tick(at_ns, pose, scan, log_stamp_s=own_s, is_unmeasured=not is_known or is_alone))
+        is_alone = not is_known
+    return ticks

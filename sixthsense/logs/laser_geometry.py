@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.laser import MOST_RANGE_M, Scan
+from sixthsense.logs.finding import Finding
 
 FARTHEST_M, MOST_BEAMS = 1000.0, 100_000
 """maximum range and number of beams of a laser that a configuration allows"""
@@ -38,14 +41,20 @@ class Beams(NamedTuple):
     """between two beams, rad"""
 
 
-def beams_by_count(count: int, fov: float = math.pi) -> Beams:
-    """The beams of a FLASER line, which states only their number: a scanner of 180 degrees, or of `fov` rad, centred.
+_FIELDS = tuple(math.radians(degrees) for degrees in (240.0, 270.0, 360.0))
+"""of lasers in use, beside half a turn"""
+_FINE_STEP = 2.0 * math.pi / 1024.0  # rad between beams of a Hokuyo URG
+
+
+def beams_by_count(count: int) -> tuple[Beams, ...]:
+    """The beams that a FLASER line may have, which states only their number; the first is a scanner of 180 degrees.
 
     An odd number includes both ends (181: one degree apart), an even one leaves out the last (180: one degree, 360:
-    half a degree). CARMEN itself reads its logs so. No beam of a full circle repeats the first.
+    half a degree). CARMEN itself reads its logs so.
     """
-    is_full = fov > 2.0 * math.pi - 1e-6
-    return Beams(-fov / 2.0, fov / (count if is_full else count - count % 2))
+    fields = [fov for fov in (_FINE_STEP * (count - 1), *_FIELDS) if math.pi * 1.05 < fov < 2.0 * math.pi + 1e-6]
+    apart = [fov for k, fov in enumerate(fields) if all(abs(fov - other) > 0.02 * fov for other in fields[:k])]
+    return Beams(-math.pi / 2.0, math.pi / (count - count % 2)), *(beams_over(fov, count) for fov in apart)
 
 
 def beams_over(fov: float, count: int) -> Beams:
@@ -60,6 +69,11 @@ def beams_as_stated(count: int, start: float, fov: float, resolution: float) -> 
     if not (step > 0.0 and abs(step * (count - 1) - fov) <= 1.5 * step):
         step = beams_over(fov, count).step
     return Beams(start, step)
+
+
+def with_beams(scan: Scan, first: float, step: float) -> Scan:
+    """The scan with beams that begin at a bearing, and are a step apart, rad."""
+    return replace(scan, angle_min=np.float32(first), angle_increment=np.float32(step))
 
 
 def described(given: LaserConfig, count: int, step: float, max_range: float, mount: Pose) -> LaserConfig:
@@ -118,6 +132,17 @@ def max_range_of(scans: Sequence[NDArray[np.float32]]) -> float:
     code = no_return_code(scans)
     above = np.nextafter(np.float32(greatest_range(scans)), np.float32(np.inf))
     return min(float(above) if code is None else code, FARTHEST_M)
+
+
+def faults_of(ranges: Sequence[NDArray[np.float32]], scans: Sequence[Scan]) -> Iterator[Finding]:
+    """What is wrong with ranges (N,) of a log, in its own unit, and with the scans that are made of them."""
+    some = ranges[:: max(1, len(ranges) // 100)]
+    code = no_return_code(some) or math.inf
+    returns = np.concatenate([row[(row > 0.0) & np.isfinite(row) & (row < code)] for row in some])
+    if len(returns) and (median := float(np.median(returns))) > MOST_RANGE_M:
+        yield Finding("ranges_unit", median)
+    if not any(((scan.ranges > 0.0) & np.isfinite(scan.ranges)).any() for scan in scans):
+        yield Finding("no_return", len(scans))
 
 
 def greatest_range(scans: Sequence[NDArray[np.float32]]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation, polar_observation
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
+from sixthsense.logs.finding import Finding
+from sixthsense.logs.joining import Odometry, pose_at
 from sixthsense.logs.log import Log
 from sixthsense.logs.text_lines import Record, Table, read_table, shown
 
@@ -65,45 +67,34 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
     drive.check(2, "turn rate", -_FASTEST, _FASTEST)
     seen, misread = _observations(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed)
     vicon = _existing(path, f"Robot{robot}_Groundtruth.dat")
-    truth = None if vicon is None else _Truth(vicon)
+    truth = None if vicon is None else _truth_of(vicon)
     ticks = _ticks(drive, seen, truth)
     if not ticks:
         raise InputError(vicon, "found truth at no stamp of the odometry", "of the same drive")
-    unread = [f"{misread} measurements with an unknown barcode are skipped"] if misread else []
-    return Log(ticks, remarks=unread)
+    unread = Finding("left_out", misread, place="measurements with an unknown barcode are skipped")
+    return Log(ticks, found=[unread] * (misread > 0))
 
 
-class _Truth:
+def _truth_of(file: Path) -> Odometry:
     """The poses measured by Vicon."""
-
-    def __init__(self, file: Path) -> None:
-        table = read_table(file, "stamp x y orientation")
-        for column, name in enumerate(("x", "y", "orientation"), start=1):
-            table.check(column, name, -_OUTERMOST_M, _OUTERMOST_M)
-        stamps = _ascending_ns(table)
-        self.first_ns, self.last_ns = stamps[0], stamps[-1]
-        self._times = 1e-9 * (
-            np.array(stamps) - self.first_ns
-        )  # differences first: a float64 cannot hold the stamp in nanoseconds
-        x, y, theta = table.numbers[:, 1:].T.copy()
-        self._columns = x, y, np.unwrap(theta)
-
-    def at(self, stamps_ns: Sequence[int]) -> list[Pose]:
-        """True poses, interpolated linearly at stamps."""
-        times = 1e-9 * (np.array(stamps_ns) - self.first_ns)
-        columns = [np.interp(times, self._times, column) for column in self._columns]
-        return [Pose(x, y, theta) for x, y, theta in zip(*columns, strict=True)]
+    table = read_table(file, "stamp x y orientation")
+    for column, name in enumerate(("x", "y", "orientation"), start=1):
+        table.check(column, name, -_OUTERMOST_M, _OUTERMOST_M)
+    return Odometry(np.array(_ascending_ns(table), dtype=np.int64), table.numbers[:, 1:])
 
 
-def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: _Truth | None) -> list[Tick]:
+def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: Odometry | None) -> list[Tick]:
     rates = dict(zip(_ascending_ns(drive), drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
     first, last = min(rates), max(rates)
     if truth is not None:
-        first, last = max(first, truth.first_ns), min(last, truth.last_ns)
+        first, last = max(first, int(truth.stamps_ns[0])), min(last, int(truth.stamps_ns[-1]))
     stamps = [stamp for stamp in sorted({*rates, *seen}) if first <= stamp <= last]
-    truths = [None] * len(stamps) if truth is None else truth.at(stamps)
     if not stamps:
         return []
+    truths: list[Pose | None] = [None] * len(stamps)
+    if truth is not None:
+        at_ns = np.array(stamps, dtype=np.int64)
+        truths = [Pose.from_array(row) for row in pose_at(truth, at_ns, math.inf)]
     pose = truths[0] or Pose()
     before = stamps[0]
     speed, turn_rate = rates[max(stamp for stamp in rates if stamp <= before)]

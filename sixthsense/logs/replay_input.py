@@ -40,7 +40,7 @@ class ReplayInput:
     files: Mapping[str, str]
     """inputs by role: `log`, and if given `relations`, `topic`, `odometry_frames`, `units` and `robot`"""
     notes: tuple[str, ...]
-    """one-line remarks on the log for the user"""
+    """one-line notes on the log for the user"""
 
 
 def recorded_scene(log: Log, config: Config) -> Scene | None:
@@ -132,40 +132,56 @@ def open_recorded(
     for relations none of which has stamps of scans.
     """
     from sixthsense.logs import open_log
-    from sixthsense.logs.log import read_relations
 
-    files = {"log": str(absolute(log))}
     chosen = chosen or LogSelection()
     topics, robot, frames, units = chosen
-    if topics:
-        files["topics"] = ",".join(topics)
-    if frames:
-        files["odometry_frames"] = ",".join(frames)
-    if units:
-        files["units"] = ",".join(units)
+    files = {"log": str(absolute(log))}
+    files |= {
+        name: ",".join(words)
+        for name, words in (("topics", topics), ("odometry_frames", frames), ("units", units))
+        if words
+    }
     if robot is not None:
         files["robot"] = str(robot)
-    from_file = isinstance(relations, (str, Path))
     if isinstance(relations, (str, Path)):
         files["relations"] = str(absolute(relations))
-        given: Relations | None = read_relations(relations)
-    else:
-        given = relations
-    uses_odometry = not config.no_odometry
-    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, uses_odometry, units)
+    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, not config.no_odometry, units)
+    try:
+        return of_opened(opened, config, relations, absolute(log).name, files)
+    except InputError as error:
+        raise error.at(log if error.where == "log" else error.where) from None
+
+
+def of_opened(
+    log: Log,
+    config: Config,
+    relations: str | Path | Relations | None,
+    name: str = "log",
+    files: Mapping[str, str] | None = None,
+) -> ReplayInput:
+    """The input of a replay from a log that is open, with what is found out about it applied and noted.
+
+    Raises InputError for a log that cannot be right, and as `relations_of`.
+    """
+    from sixthsense.logs.diagnose import settled
+    from sixthsense.logs.log import read_relations
+
+    log, config, findings = settled(log, config)
     notes: list[str] = []
-    if given is not None:
-        given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
-    notes += opened.remarks()
-    config = of_log(config, opened)
-    if closures := sum(len(tick.closures or ()) for tick in opened.ticks):
+    if isinstance(relations, (str, Path)):
+        relations = relations_of(log, read_relations(relations), str(relations), notes)
+    elif relations is not None:
+        relations = relations_of(log, relations, "relations", notes)
+    notes += map(str, findings)
+    if closures := sum(len(tick.closures or ()) for tick in log.ticks):
         left = f"left out: {config.estimator} keeps no poses, isam2 does"
         used = "used" if config.estimator == "isam2" else left
         notes.append(f"{closures} edges between earlier poses are loop closures, and are {used}")
+    config = of_log(config, log)
     if config.no_odometry:
-        _check_time(log, opened)
+        _check_time(name, log)
         notes.append(WITHOUT_ODOMETRY)
-    return ReplayInput(absolute(log).name, opened, config, given, files, tuple(notes))
+    return ReplayInput(name, log, config, relations, files or {}, tuple(notes))
 
 
 def _check_time(path: str | Path, log: Log) -> None:

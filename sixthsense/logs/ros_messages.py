@@ -25,6 +25,7 @@ _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 _LARGEST_STAMP_NS = LAST_STAMP_S * 1_000_000_000
 _LONGEST_SWEEP_S = 1.0
 _LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
+_LONGER, _SHORTER, _CONTRADICTS = 1.1, 0.25, 1.2  # of a sweep beside its period or scan_time; and of spans of angles
 
 
 def stamp_ns(message: Any) -> int:
@@ -33,7 +34,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def checked_stamp(where: str, stamp_ns: int) -> int:
-    """A stamp that fits into 64 bits; InputError for any other."""
+    """A stamp that fits into 64 bits; InputError about `where` for any other."""
     if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
         raise InputError(where, f"found stamp {stamp_ns} ns", f"0 to {_LARGEST_STAMP_NS} ns")
     return stamp_ns
@@ -151,6 +152,26 @@ def scan(
     ranges.flags.writeable = False
     own = reach if max_range is None else max_range
     return Scan(ranges, np.float32(first), np.float32(step), own, T_robot_laser, np.float32(lag))
+
+
+def sweep_fault(message: Any, period_s: float) -> str:
+    """Why the sweep of a LaserScan cannot be as long as it says, beside the time between scans; "" if it can."""
+    sweep_s, scan_s = float(message.time_increment) * (len(message.ranges) - 1), float(message.scan_time)
+    if sweep_s < 0.0:
+        return "which is negative"
+    if 0.0 < _LONGER * period_s < sweep_s:
+        return f"longer than the {period_s:.3g} s from one scan to the next"
+    share = abs(float(message.angle_increment)) * (len(message.ranges) - 1) / (2.0 * math.pi)
+    if 0.0 < sweep_s < _SHORTER * share * scan_s and scan_s < 2.0 * period_s:
+        return f"a small part of a scan_time of {scan_s:.3g} s"
+    return ""
+
+
+def angles_disagree(message: Any) -> float:
+    """The span of the beams by angle_increment over that by angle_min and angle_max, where these contradict; else 0."""
+    by_ends = abs(float(message.angle_max) - float(message.angle_min))
+    share = abs(float(message.angle_increment)) * (len(message.ranges) - 1) / max(by_ends, 1e-9)
+    return share if by_ends > 0.0 and not 1.0 / _CONTRADICTS < share < _CONTRADICTS else 0.0
 
 
 def spatial_covariance(cov: Array) -> Array:

@@ -25,6 +25,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Closure, Tick
+from sixthsense.logs.finding import Finding
 from sixthsense.logs.log import Log
 from sixthsense.logs.text_lines import check_regular
 
@@ -77,7 +78,8 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         raise InputError(file, f"found no scan and no observation{' before it ends' * is_cut}", "the record of a run")
     used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
-    log = RunLog(ticks, laser, [f"the recording is incomplete; its first {used_s:.1f} s are used"] * is_cut)
+    text = f"the recording is incomplete; its first {used_s:.1f} s are used"
+    log = RunLog(ticks, laser, [Finding("cut_short", used_s, place=text)] * is_cut)
     log.messages = messages
     return log
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import lzma
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -27,6 +28,9 @@ LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # which its shell writes
 _LARGEST_WHOLE = (1 << 31) - 1
+_BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 26, 200
+"""bytes that a compressed file may hold; text of numbers compresses to a tenth, hardly to a hundredth"""
+_LFS = b"version https://git-lfs"
 
 
 def check_regular(path: Path) -> None:
@@ -82,7 +86,8 @@ class Record:
         try:
             return np.array(fields, dtype=np.float64)
         except ValueError:
-            self.fail(f"found {shown(next(field for field in fields if not _is_number(field)))}, allowed: a number")
+            field = next(field for field in fields if not _is_number(field))
+            self.fail(f"found {shown(field)}{_comma(field)}, allowed: a number")
 
 
 def _is_number(field: bytes) -> bool:
@@ -91,6 +96,10 @@ def _is_number(field: bytes) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _comma(field: bytes) -> str:
+    return " with a decimal comma" if re.fullmatch(rb"[-+]?\d+,\d+", field) else ""
 
 
 def shown(field: bytes) -> str:
@@ -134,7 +143,10 @@ def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to
     for record in records(path, b",;"):
         count = len(record.fields)
         if count not in widths or (found and count != len(found[0].fields)):
-            record.fail(f"found {count} fields, allowed: {' or '.join(map(str, widths))} in every line ({columns})")
+            comma = ", are there decimal commas?" if count in {2 * width for width in widths} else ""
+            record.fail(
+                f"found {count} fields{comma}, allowed: {' or '.join(map(str, widths))} in every line ({columns})"
+            )
         found.append(record)
     if not found:
         raise InputError(path, "found no line of numbers", f"lines of {columns}")
@@ -178,10 +190,16 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
         check_regular(path)
         with path.open("rb") as raw:
             stream = _decompressed(path, raw)
+            left = _BASE_BUDGET + _BUDGET_PER_BYTE * path.stat().st_size
             while line := stream.readline(LONGEST_LINE):
                 number += 1
+                left -= len(line) if stream is not raw else 0
+                if left < 0:
+                    raise InputError(path, "found far more text than a compressed log of this size holds", "a log")
                 if number == 1:
                     line = line.removeprefix(_BYTE_ORDER_MARK)
+                    if line.startswith(_LFS):
+                        raise InputError(path, "found a pointer of Git LFS", "the file itself, by `git lfs pull`")
                     if line.startswith(_UTF_16):
                         raise InputError(path, "found text of 16 bits a letter (UTF-16)", "UTF-8 or ASCII")
                 if len(line) == LONGEST_LINE:

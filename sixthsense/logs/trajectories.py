@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
-from sixthsense.logs.refused import Refused
 from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S, Record, Table, lines, words
 
 _SEPARATORS = b",;"
@@ -37,6 +36,7 @@ def read_trajectory(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Ar
     columns = _named(header, width)
     if columns is None and width not in _FORMS:
         kitti = ", as those of KITTI, which have no stamps" * (width == _KITTI)
+        kitti += ", are there decimal commas?" * (width in (14, 15, 16))
         at = f" line {found[0].line}" if found else ""
         raise InputError(
             f"{file}{at}", f"found {width} fields{kitti}" if found else "found no line of numbers", _ALLOWED
@@ -121,7 +121,8 @@ def _usable(
     table = _at_once(found, width, places)
     if table is not None and not (is_space and not table.numbers[:, 4:].any(axis=1).all()):
         return table
-    refused, good, rows = Refused(), [], []
+    refused: list[str] = []
+    good, rows = [], []
     for record in found:
         try:
             if len(record.fields) != width:
@@ -134,13 +135,13 @@ def _usable(
             if is_space and not values[4:].any():
                 record.fail("found a quaternion that is zero, allowed: a rotation")
         except InputError as error:
-            refused.add("lines", error.at(error.where.removeprefix(f"{record.path} ")))
+            refused.append(str(error.at(error.where.removeprefix(f"{record.path} "))))
             continue
         good.append(record)
         rows.append(values)
     if not good:
-        raise InputError("", f"{found[0].path} {refused.first('lines')}")
-    notes += [f"{found[0].path}: {line}" for line in refused.remarks({"lines": len(found)}, "lines")]
+        raise InputError("", f"{found[0].path} {refused[0]}")
+    notes.append(f"{found[0].path}: {len(refused)} of {len(found)} lines left out, the first: {refused[0]}")
     return Table(good, np.array(rows))
 
 

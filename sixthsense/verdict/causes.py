@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.logs.diagnose import beside_wheels
 from sixthsense.verdict.evidence import Evidence, share
 from sixthsense.verdict.probability import MIRROR_SIGMAS
 from sixthsense.verdict.verdict import Cause
@@ -17,7 +18,6 @@ from sixthsense.verdict.witnesses import Witnesses
 
 _NOWHERE = np.zeros((0, 2))
 _SIGMAS = 4.0  # of a fitted value, beyond which it is not chance
-_OFF_M, _OFF_RAD = 0.1, math.radians(4.0)  # of a mount that is worth a word
 _LAG_S, _LAG_GAIN = 0.25, 0.3
 _SLIP_M, _SLIP_RAD = 0.3, math.radians(10.0)  # of a motion that wheels and trajectory tell apart
 _NEW_SHARE = 0.3  # of the returns of a scan that the scan before contradicts: it is of another place
@@ -62,19 +62,10 @@ def _mount(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     mount, turns = evidence.mount, evidence.turns
     if mount is None or turns is None or turns.correlation < 0.7:
         return
-    off, sigmas = mount.offset, mount.sigmas
-    parts = []
-    for value, sigma, names in ((off[0], sigmas[0], ("forward", "back")), (off[1], sigmas[1], ("left", "right"))):
-        if abs(value) > max(_OFF_M, _SIGMAS * sigma):
-            parts.append(f"{abs(value):.2f} m farther {names[0] if value > 0.0 else names[1]}")
-    if abs(off[2]) > max(_OFF_RAD, _SIGMAS * sigmas[2]):
-        parts.append(f"turned {math.degrees(abs(off[2])):.0f}° to the {'left' if off[2] > 0.0 else 'right'}")
-    if parts:
-        told = f"by wheels and scans the laser is {' and '.join(parts)} than its mount is stated"
-        if (scan := next((one for one in found.scans if one is not None), None)) is not None:
-            fits = Pose(*off.tolist()) @ scan.T_robot_laser
-            told += f" (a mount of {fits.x:.2f} {fits.y:.2f} {fits.theta:.2f} fits)"
-        yield _whole("mount", told, evidence)
+    scan = next((one for one in found.scans if one is not None), None)
+    for finding in beside_wheels(mount, Pose() if scan is None else scan.T_robot_laser):
+        if finding.kind != "odometry_scale":
+            yield _whole(finding.kind, str(finding), evidence)
 
 
 def _whole(name: str, told: str, evidence: Evidence) -> Cause:

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
+from sixthsense.logs.diagnose import Mount, hand_eye
 from sixthsense.verdict.views import SURFACE, THROUGH, Views, compared_at
 
 _SIGMA_M, _M_PER_M, _M_PER_RAD = 0.02, 0.05, 0.02  # what wheels in general are wrong by, per motion
@@ -98,48 +99,10 @@ def laser_motions(motions: Array, mounts: Array) -> Array:
     return between(mounts, compose(motions, mounts)) if len(motions) else zero
 
 
-class Mount(NamedTuple):
-    """Where the laser sits by the motions of wheels and scans, beyond where it is stated to be."""
-
-    offset: Array
-    """(3,) x, y (m, robot's axes) and heading, rad"""
-    sigmas: Array
-    """(3,)"""
-    scale: float
-    """of the wheels' distances: true ones are this times as long"""
-
-
 def mount(found: Disagreement) -> Mount | None:
-    """The mount that explains the motions best, by hand-eye calibration; None where too little is known.
-
-    With the laser off by X the trajectory T that puts scans together moves by T, where the robot moves by W, as
-    W X = X T. For small X: (R_W - I) x = R_X t_T - s t_W, linear in x, the heading and the scale of the wheels. A
-    heading near a half turn is one near 0 with a negative scale.
-    Weights are those of Huber, so that slips do not count.
-    """
+    """The mount that explains the motions best, by hand-eye calibration; None where too little is known."""
     known = np.isfinite(found.off).all(axis=1)
-    w, t = found.wheels[known], found.path[known]
-    if len(w) < _FEWEST:
-        return None
-    c, s, n = np.cos(w[:, 2]) - 1.0, np.sin(w[:, 2]), len(w)
-    rows, right = np.zeros((2 * n, 4)), np.concatenate([t[:, 0], t[:, 1]])
-    rows[:n] = np.stack([c, -s, t[:, 1], w[:, 0]], axis=1)
-    rows[n:] = np.stack([s, c, -t[:, 0], w[:, 1]], axis=1)
-    spread = np.concatenate([found.sigmas[known, 0]] * 2)
-    if np.linalg.matrix_rank(rows / spread[:, None], tol=1.0) < 4:
-        return None
-    weights = 1.0 / spread
-    for _ in range(10):
-        values, *_ = np.linalg.lstsq(rows * weights[:, None], right * weights, rcond=None)
-        off = np.abs(right - rows @ values) / spread
-        usual = max(1.4826 * float(np.median(off)), 0.05)
-        weights = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(off, 1e-9))) / spread
-    information = (rows * weights[:, None]).T @ (rows * weights[:, None]) / usual**2
-    cov = np.linalg.inv(information)
-    offset, scale = np.asarray(values[:3], np.float64), float(values[3])
-    if scale < 0.0:  # a laser that looks back: R_X turned by pi changes the sign of x and of the scale
-        offset, scale = np.array([-offset[0], -offset[1], wrap_angle(offset[2] + math.pi)]), -scale
-    return Mount(offset, np.sqrt(np.diag(cov)[:3]).astype(np.float64), scale)
+    return hand_eye(found.wheels[known], found.path[known], found.sigmas[known, 0])
 
 
 class Turns(NamedTuple):

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import seconds
+from sixthsense.logs.diagnose import Mount
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.verdict.disagreement import (
     Disagreement,
     Lag,
     Mirror,
-    Mount,
     Turns,
     disagreement,
     lag,

@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 from bags import Bag
 
+from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
+from sixthsense.logs import open_log
+from sixthsense.logs.diagnose import settled
+from sixthsense.logs.finding import Finding
+from sixthsense.logs.log import Log
 
 WALLS = np.array(
     [[[-2.7, -2.1], [4.1, -2.1]], [[4.1, -2.1], [4.1, 3.2]], [[4.1, 3.2], [-2.7, 3.2]], [[-2.7, 3.2], [-2.7, -2.1]],
@@ -29,7 +34,7 @@ def way(seconds: float) -> Pose:
 
 def robot_bag(
     path: Path, kind: str = "mcap", *, seconds: float = 6.0, scan=lambda k, says: says, odom=lambda k, says: says,
-    links=LINKS, odom_in_tf: bool = False, inverted: bool = False, late_s: float = 0.0, echo: bool = False,
+    links=LINKS, odom_in_tf: bool = False, late_s: float = 0.0, echo: bool = False,
     namespace: str = "", odom_type: str = "", empty: bool = False,
 ) -> Path:  # fmt: skip
     """Write the bag: odometry every 20 ms and a scan of 240 beams every 100 ms.
@@ -41,7 +46,8 @@ def robot_bag(
 
     def put_scan(k, record_ns):
         says = {"first": -2.0, "step": math.radians(1.2), "count": 240, "low": 0.05, "high": 9.0, "frame": "laser",
-                "stamp_ns": record_ns + round(late_s * 1e9), "topic": "/scan", "ranges": None, "unit": 1.0}  # fmt: skip
+                "stamp_ns": record_ns + round(late_s * 1e9), "topic": "/scan", "ranges": None, "unit": 1.0,
+                "lag": 0.0, "last": None}  # fmt: skip
         says = scan(k, says)
         if says is None:
             return
@@ -52,7 +58,7 @@ def robot_bag(
         bag.scan(
             says["stamp_ns"], unit * ranges, namespace + says["topic"], first=turn * says["first"],
             step=turn * says["step"], low=unit * says["low"], high=unit * says["high"], frame=says["frame"], echo=echo,
-            record_ns=record_ns,
+            record_ns=record_ns, lag=says["lag"], last=says["last"],
         )  # fmt: skip
 
     def put_odom(k, record_ns):
@@ -62,8 +68,7 @@ def robot_bag(
             return
         pose = says["pose"]
         if odom_in_tf:
-            pair = ("base_footprint", "odom", pose.inverse()) if inverted else ("odom", "base_footprint", pose)
-            bag.transform(*pair, stamp_ns=says["stamp_ns"])
+            bag.transform("odom", "base_footprint", pose, stamp_ns=says["stamp_ns"])
             return
         pose = Pose(says["unit"] * pose.x, says["unit"] * pose.y, pose.theta)
         topic = f"{namespace}/odom"
@@ -90,12 +95,21 @@ def robot_bag(
     return bag.path
 
 
-def off_walls_m(ticks: Iterable[Tick]) -> float:
-    """Largest distance of a return from the walls, of scans at the true poses of their stamps."""
+def read(path: Path, config: Config | None = None, **chosen) -> tuple[Log, dict[str, Finding]]:
+    """The log with what is found out about it applied, and the findings by kind."""
+    config = config or preset("log")
+    log, _, found = settled(open_log(path, config.laser, **chosen), config)
+    return log, {finding.kind: finding for finding in found}
+
+
+def off_walls_m(ticks: Iterable[Tick], ahead_s: float = 0.0) -> float:
+    """Largest distance of a return from the walls, of scans at the true poses of their stamps, which are ahead."""
     worst = 0.0
     for tick in ticks:
         if tick.scan is not None:
-            points = way(1e-9 * (tick.stamp_ns - T0_NS)) @ tick.scan.points_robot[np.isfinite(tick.scan.ranges)]
+            points = (
+                way(1e-9 * (tick.stamp_ns - T0_NS) - ahead_s) @ tick.scan.points_robot[np.isfinite(tick.scan.ranges)]
+            )
             worst = max(worst, float(_distances(points).max(initial=0.0)))
     return worst
 

@@ -149,7 +149,6 @@ def test_the_command_replays_a_log_and_then_its_own_record_to_the_same_estimates
 
 @pytest.mark.parametrize(("name", "text", "said"), [
     ("a.g2o", "VERTEX_XY 3 0.5 0.6\n", "found no edge between poses"),
-    ("a.log", "FLASER 2 inf inf 0.1 0.2 0.3 0.1 0.2 0.3 7.5 h 7.5\n", "found no return in 1 scans"),
     ("a.xyz", "1 2 3\n", "found no known kind of log"),
 ])  # fmt: skip
 def test_a_log_with_nothing_to_read_is_refused(name, text, said, tmp_path):

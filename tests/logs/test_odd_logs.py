@@ -6,18 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import KINDS, Bag
-from robot_bag import MOUNT, T0_NS, WALLS, off_walls_m, robot_bag, way
+from bags import KINDS
+from robot_bag import MOUNT, T0_NS, WALLS, off_walls_m, read, robot_bag, way
 
 import sixthsense as ss
-from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.logs import open_log
-from sixthsense.logs.bag_file import opened
-from sixthsense.logs.ros_messages import LASER_SCAN, stamp_ns
-from sixthsense.slam.scans.returns import ScanStore
 
 TF = (("tf", "base_footprint", "base_link", Pose()), ("tf", "base_link", "laser", MOUNT))
 BACKWARDS = (("static", "laser", "base_footprint", MOUNT.inverse()),)
@@ -55,62 +51,57 @@ def interlaced(n, says):
     return {**says, "first": first, "step": math.radians(1.0), "count": 181 - (off > 0)}
 
 
-# name: keywords of the bag, number of scans, what a note says ("" for no note)
+# name: keywords of the bag, number of scans, kinds of what is said
 READ = {
-    "base": ({}, 60, ""),
-    "1073 then 719 beams": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, 60, ""),
-    "beams vary": ({"scan": lidar(lambda n: 717 + 3 * (n % 4))}, 60, ""),
-    "interlaced": ({"scan": interlaced}, 60, ""),
-    "clockwise": ({"scan": lambda n, says: {**says, "first": 2.0, "step": -says["step"]}}, 60, ""),
-    "short range first": ({"scan": at(first, "high", 1.5)}, 60, ""),
-    "another frame first": (
-        {"scan": at(first, "frame", "base_scan")}, 57, "3 scans of base_scan are left out: most, 57, are of laser"),
-    "a second laser": (
-        {"scan": at(lambda n: n % 3 == 0, "frame", "rear")}, 40, "20 scans of rear are left out: most, 40,"),
-    "mount in /tf": ({"links": TF}, 60, ""),
-    "mount as parent": ({"links": BACKWARDS}, 60, ""),
-    "odometry and mount in /tf": ({"links": TF, "odom_in_tf": True}, 60, "odometry: /tf odom -> base_footprint, 300"),
-    "odometry inverted in /tf": ({"odom_in_tf": True, "inverted": True}, 60, "odometry: /tf odom -> base_footprint"),
-    "no child frame": ({"odom": at(every, "child", "")}, 60, "the robot's frame: taken to be base_footprint"),
-    "another child frame": (
-        {"odom": at(every, "child", "base_stabilized")}, 60, "the laser where base_footprint, the root of its frames,"),
-    "topics without a message": ({"empty": True}, 60, ""),
-    "zero quaternion": (
-        {"odom": at(first, "turn", (0.0, 0.0, 0.0, 0.0))}, 60, "3 of 300 messages of /odom left out: found a pose"),
-    "one range": ({"scan": at(at_40, "count", 1)}, 59, "1 of 60 messages of /scan left out: found a scan of 1 ranges"),
-    "no range": ({"scan": at(at_40, "count", 0)}, 59, "1 of 60 messages of /scan left out: found a scan of 0 ranges"),
-    "no angles": ({"scan": at(at_40, "angle_unit", math.inf)}, 59, "found angle_min -inf"),
-    "all NaN": ({"scan": at(at_40, "ranges", NAN)}, 60, ""),
-    "range_max 0": ({"scan": at(every, "high", 0.0)}, 60, "assumed: a laser of"),
-    "range_max NaN once": ({"scan": at(at_40, "high", math.nan)}, 60, "in 1 of 60 scans"),
-    "scans 37 s ahead": ({"late_s": 37.0}, 60, "scans lead odometry by 37.0"),
-    "scans 7.3 s behind": ({"late_s": -7.3}, 60, "scans lag behind odometry by 7.30 s"),
-    "scans 0.3 s ahead": ({"late_s": 0.3}, 60, "scans lead odometry by 0.30 s"),
-    "no stamps": ({"scan": at(every, "stamp_ns", 0)}, 60, "60 of 60 messages of /scan have no stamp"),
-    "one stamp": ({"scan": at(every, "stamp_ns", T0_NS)}, 60, "stamps of /scan repeat: the times of recording"),
-    "echoes": ({"echo": True}, 60, ""),
-    "namespace": ({"namespace": "/robot1"}, 60, ""),
-    "sqlite": ({"kind": "sqlite"}, 60, ""),
-    "ros1": ({"kind": "ros1"}, 60, ""),
+    "base": ({}, 60, ()),
+    "1073 then 719 beams": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, 60, ()),
+    "beams vary": ({"scan": lidar(lambda n: 717 + 3 * (n % 4))}, 60, ()),
+    "interlaced": ({"scan": interlaced}, 60, ()),
+    "clockwise": ({"scan": lambda n, says: {**says, "first": 2.0, "step": -says["step"]}}, 60, ()),
+    "short range first": ({"scan": at(first, "high", 1.5)}, 60, ()),
+    "another frame first": ({"scan": at(first, "frame", "base_scan")}, 57, ("left_out",)),
+    "a second laser": ({"scan": at(lambda n: n % 3 == 0, "frame", "rear")}, 40, ("left_out",)),
+    "mount in /tf": ({"links": TF}, 60, ()),
+    "mount as parent": ({"links": BACKWARDS}, 60, ()),
+    "odometry and mount in /tf": ({"links": TF, "odom_in_tf": True}, 60, ("odometry_frames",)),
+    "no child frame": ({"odom": at(every, "child", "")}, 60, ("assumed_mount",)),
+    "topics without a message": ({"empty": True}, 60, ()),
+    "zero quaternion": ({"odom": at(first, "turn", (0.0, 0.0, 0.0, 0.0))}, 60, ("left_out",)),
+    "one range": ({"scan": at(at_40, "count", 1)}, 59, ("left_out",)),
+    "no range": ({"scan": at(at_40, "count", 0)}, 59, ("left_out",)),
+    "no angles": ({"scan": at(at_40, "angle_unit", math.inf)}, 59, ("left_out",)),
+    "all NaN": ({"scan": at(at_40, "ranges", NAN)}, 60, ()),
+    "range_max 0": ({"scan": at(every, "high", 0.0)}, 60, ("assumed_range",)),
+    "range_max NaN once": ({"scan": at(at_40, "high", math.nan)}, 60, ("assumed_range",)),
+    "scans 37 s ahead": ({"late_s": 37.0}, 60, ("clocks",)),
+    "scans 7.3 s behind": ({"late_s": -7.3}, 60, ("clocks",)),
+    "scans 0.3 s ahead": ({"late_s": 0.3}, 60, ("clocks",)),
+    "no stamps": ({"scan": at(every, "stamp_ns", 0)}, 60, ()),
+    "one stamp": ({"scan": at(every, "stamp_ns", T0_NS)}, 60, ("stamps_of_recording", "stamps_repeat")),
+    "echoes": ({"echo": True}, 60, ()),
+    "namespace": ({"namespace": "/robot1"}, 60, ()),
+    "sqlite": ({"kind": "sqlite"}, 60, ()),
+    "ros1": ({"kind": "ros1"}, 60, ()),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", READ)
 def test_an_odd_bag_has_its_returns_on_the_walls_and_says_what_is_odd(name, tmp_path):
-    how, count, said = READ[name]
-    log = open_log(robot_bag(tmp_path / "bag", **how))
+    how, count, kinds = READ[name]
+    log, found = read(robot_bag(tmp_path / "bag", **how))
     assert len(log.scans) == count and log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=1e-6)
-    assert off_walls_m(log.ticks) < (0.01 if "ahead" in name or "behind" in name else 1e-4)
-    assert log.ticks[-1].odometry.array() == pytest.approx(way(5.98).array(), abs=1e-5)
-    notes = [note for note in log.remarks() if "a laser of" not in note or "assumed" in said or "scans" in said]
-    assert any(said in note for note in notes) if said else not notes
-
-
-def test_a_clock_that_begins_with_0_is_no_missing_stamp(tmp_path):
-    ss.run("rectangle", task="tour", max_time=3.0, seed=4, out=tmp_path / "run", progress=False)
-    ss.load(tmp_path / "run").to_bag(tmp_path / "bag")
-    log = open_log(tmp_path / "bag")
-    assert log.ticks[0].stamp_ns == 0 and not [note for note in log.remarks() if "no stamp" in note]
+    ahead_s = how.get("late_s", 0.0)
+    assert off_walls_m(log.ticks, ahead_s) < 1e-4
+    assert found.keys() == set(kinds)
+    if ahead_s:
+        assert found["clocks"].value == pytest.approx(ahead_s, abs=0.02)
+        at_s = np.array([1e-9 * (tick.stamp_ns - T0_NS) - ahead_s for tick in log.ticks if tick.scan is not None])
+        turned = [
+            (way(s).inverse() @ tick.odometry).theta
+            for s, tick in zip(at_s, (t for t in log.ticks if t.scan), strict=True)
+            if 0.0 < s < 5.9
+        ]
+        assert np.abs(turned).max() < 0.03
 
 
 def in_turn(n):
@@ -122,14 +113,19 @@ def in_turn(n):
 # name: keywords of the bag, what is said
 REFUSED = {
     "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or `units` angles="),
-    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "allowed: metres, or `units` ranges=mm"),
-    "centimetres": ({"scan": at(every, "unit", 100.0)}, "millimetres or centimetres"),
+    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "or `units` ranges=mm"),
     "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or `units` odometry=mm"),
     "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by `topics` /rear or /scan"),
-    "two lasers": ({"scan": at(every, "ranges", in_turn)}, "found scans of two lasers in turn, all of frame laser"),
-    "no scans": ({"scan": lambda n, says: None}, "found no topic of type LaserScan, but /odom (Odometry)"),
-    "no return": ({"scan": at(every, "ranges", NAN)}, "found no return in 60 scans, allowed: ranges from range_min to"),
+    "two lasers": ({"scan": at(every, "ranges", in_turn)}, "found scans of two lasers in turn"),
+    "no scans": ({"scan": lambda n, says: None}, "but /odom (Odometry)"),
+    "no return": ({"scan": at(every, "ranges", NAN)}, "found no return in 60 scans"),
     "no scan of any use": ({"scan": at(every, "count", 1)}, "found a scan of 1 ranges, allowed: 2 to"),
+    "two clocks": (
+        {"late_s": 80.0, "seconds": 3.0, "odom": at(every, "pose", lambda n: Pose(0.01 * n, 0.1, 0.4))},
+        "share no time: scans from 1700000080."),
+    "two robots in /tf": (
+        {"odom_in_tf": True, "links": (("tf", "odom", "other", Pose(1.0)), ("tf", "map", "base_footprint", MOUNT))},
+        "`odometry_frames` PARENT,CHILD"),
 }  # fmt: skip
 
 
@@ -137,46 +133,24 @@ REFUSED = {
 def test_a_bag_that_cannot_be_right_is_refused_in_one_line_that_names_the_option(name, tmp_path):
     how, said = REFUSED[name]
     with pytest.raises(InputError) as caught:
-        open_log(robot_bag(tmp_path / "bag", **how))
+        read(robot_bag(tmp_path / "bag", **how))
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["degrees", "millimetres", "odometry in mm"])
 def test_a_bag_in_other_units_is_read_with_the_option(name, tmp_path):
     units = {"degrees": "angles=degrees", "millimetres": "ranges=mm", "odometry in mm": "odometry=mm"}[name]
-    log = open_log(robot_bag(tmp_path / "bag", **REFUSED[name][0]), units=[units])
+    log, _ = read(robot_bag(tmp_path / "bag", **REFUSED[name][0]), units=[units])
     assert off_walls_m(log.ticks) < 1e-4
     assert log.ticks[-1].odometry.array() == pytest.approx(way(5.98).array(), abs=1e-5)
 
 
-def test_two_clocks_that_share_no_time_and_no_turn_are_refused_with_both_intervals(tmp_path):
-    still = robot_bag(tmp_path / "bag", late_s=80.0, seconds=3.0, odom=at(every, "pose", Pose(0.2, 0.1, 0.4)))
-    with pytest.raises(
-        InputError, match=r"found scans from 1700000080\.\d+ to .* s, odometry from 1700000000.*one clock"
-    ):
-        open_log(still)
-
-
-def test_ranges_from_right_to_left_are_told_by_the_turns(tmp_path):
-    log = open_log(robot_bag(tmp_path / "bag", scan=at(every, "is_mirrored", True)))
-    assert any(note.startswith("scans turn the other way round from odometry") for note in log.remarks())
-
-
 @pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
-def test_a_topic_of_poses_is_odometry_where_it_is_named_and_is_named_where_it_is_not(kind, tmp_path):
+def test_a_topic_of_poses_is_odometry_where_it_is_named(kind, tmp_path):
     bag = robot_bag(tmp_path / "bag", odom_type=f"geometry_msgs/{kind}")
     alone, log = open_log(bag), open_log(bag, topics=["/odom"])
-    assert not alone.has_odometry and "no odometry, but poses: /odom; `topics` takes one of" in alone.remarks()[0]
-    assert log.has_odometry and off_walls_m(log.ticks) < 1e-4
+    assert not alone.has_odometry and log.has_odometry and off_walls_m(log.ticks) < 1e-4
     assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=1e-6)
-
-
-def test_where_no_frames_lead_to_the_laser_the_note_names_those_that_there_are(tmp_path):
-    links = (("static", "robot1/base_link", "robot1/laser", MOUNT),)
-    log = open_log(robot_bag(tmp_path / "bag", links=links))
-    assert any("(frames: robot1/base_link, robot1/laser; otherwise set `laser.mount`)" in n for n in log.remarks())
-    mounted = open_log(tmp_path / "bag", LaserConfig(mount=tuple(MOUNT.array())))
-    assert off_walls_m(mounted.ticks) < 1e-4
 
 
 def only(has):
@@ -186,9 +160,9 @@ def only(has):
 
 # name: keywords of the bag, and when scans go on alone
 REPLAYED = {
-    "odometry late": (only(lambda n: n >= 100), "0.0 to 1.9 s (20 scans, at the beginning)"),
-    "odometry dies": (only(lambda n: n <= 190), "3.9 to 5.9 s (21 scans, at the end)"),
-    "odometry pauses": (only(lambda n: n < 100 or n > 170), "2.0 to 3.4 s (15 scans, in a pause)"),
+    "odometry late": (only(lambda n: n >= 100), "from 0.0 to 2.0 s"),
+    "odometry dies": (only(lambda n: n <= 190), "from 3.9 to 5.9 s"),
+    "odometry pauses": (only(lambda n: n < 100 or n > 170), "from 2.0 to 3.4 s"),
     "beams change": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, ""),
 }
 
@@ -198,8 +172,8 @@ def test_a_replay_has_the_true_poses_at_the_stamps_of_the_log_and_its_folder_giv
     how, said = REPLAYED[name]
     bag = robot_bag(tmp_path / "bag", **how)
     run = ss.replay(bag, progress=False, out=tmp_path / "out")
-    notes = [note for note in open_log(bag).remarks() if "go on alone" in note]
-    assert said in notes[0] if said else not notes
+    gap = read(bag)[1].get("gap")
+    assert (gap.place if gap else "") == said
     truth = np.array([way(0.1 * k).array() for k in range(60)])
     table = np.loadtxt(tmp_path / "out" / "estimate.tum")
     assert len(run.trace.estimates) == 60 and table[:, 0] == pytest.approx(1e-9 * T0_NS + 0.1 * np.arange(60))
@@ -207,33 +181,12 @@ def test_a_replay_has_the_true_poses_at_the_stamps_of_the_log_and_its_folder_giv
     found = np.array([(started.inverse() @ Pose.from_array(pose)).array() for pose in run.trace.estimates])
     true = np.array([(way(0.0).inverse() @ Pose.from_array(pose)).array() for pose in truth])
     assert np.abs(found - true)[:, :2].max() < 0.02 and np.abs(found - true)[:, 2].max() < 0.01
-    assert any(tick.closures for tick in open_log(run.to_g2o(tmp_path / "graph.g2o")).ticks)
     again = ss.replay(tmp_path / "out", progress=False)
     assert np.array_equal(again.trace.estimates, run.trace.estimates)
 
 
-def test_every_return_that_is_used_lies_where_its_own_message_has_it(data_dir):
-    """In the clinic's bag a laser in interlaced mode sends four geometries in turn."""
-    path, messages = data_dir / "clinic" / "clinic.bag", {}
-    with opened(path) as reader:
-        for connection, _, raw in reader.messages([c for c in reader.connections if c.msgtype == LASER_SCAN]):
-            message = reader.deserialize(raw, connection.msgtype)
-            messages[stamp_ns(message) / 1e9] = message
-    ticks, store = [tick for tick in open_log(path).ticks if tick.scan is not None], ScanStore(30.0)
-    assert len(ticks) == 6917
-    for tick in ticks:
-        message = messages[tick.log_stamp_s]
-        own = float(message.angle_min) + float(message.angle_increment) * np.arange(len(message.ranges))
-        used = (message.ranges >= message.range_min) & (message.ranges <= message.range_max) & (message.ranges < 30.0)
-        at = store.put(tick.scan)
-        row = store.returns.points[at]
-        found = row[row[:, 2] > 0.0]
-        assert len(found) == np.count_nonzero(used)
-        assert np.abs(np.arctan2(found[:, 1], found[:, 0]) - own[used]).max(initial=0.0) < 1e-6
-
-
 @pytest.mark.parametrize("kind", ["mcap", "sqlite"])
-def test_bags_are_known_by_content_in_pieces_and_without_metadata(kind, tmp_path):
+def test_bags_are_known_by_content_and_without_metadata(kind, tmp_path):
     bag = robot_bag(tmp_path / "bag", kind)
     file = next(each for each in bag.iterdir() if each.suffix != ".yaml")
     named = tmp_path / "robot.log"
@@ -241,42 +194,19 @@ def test_bags_are_known_by_content_in_pieces_and_without_metadata(kind, tmp_path
     (tmp_path / "bare").mkdir()
     shutil.copy(file, tmp_path / "bare" / f"x_0{file.suffix}")
     whole = open_log(bag)
-    for path in (named, tmp_path / "bare"):
-        log = open_log(path)
-        assert [tick.stamp_ns for tick in log.ticks] == [tick.stamp_ns for tick in whole.ticks]
-    assert any("metadata.yaml is not there" in note for note in log.remarks())
+    for path in (file, named, tmp_path / "bare"):
+        assert [tick.stamp_ns for tick in open_log(path).ticks] == [tick.stamp_ns for tick in whole.ticks]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_a_bag_that_is_cut_short_is_read_up_to_the_cut_or_refused_in_one_line(kind, share, tmp_path, complaint):
+def test_a_bag_that_is_cut_short_is_refused_in_one_line_with_what_to_do(kind, share, tmp_path, complaint):
     path = robot_bag(tmp_path / "bag", kind, seconds=2.0)
     file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
-    if kind == "mcap" and share:
-        log = open_log(path)
-        assert 0.8 * share * 20 - 1 < len(log.scans) <= 20 and f"{file.name} is cut short: the" in log.remarks()[0]
-        assert off_walls_m(log.ticks) < 1e-4
-    else:
-        complaint("replay", path, "--out", tmp_path / "out")
-
-
-@pytest.mark.parametrize("high", [np.inf, 3e38, 1e6])
-def test_a_range_max_that_no_laser_has_is_replaced_by_what_the_ranges_say(high, tmp_path):
-    def log(name, rows):
-        with Bag(tmp_path / name) as bag:
-            for k, row in enumerate(rows):
-                bag.odometry(k * S, Pose(0.1 * k, 0.2, 0.3))
-                bag.scan(k * S, row, high=high)
-        return open_log(bag.path)
-
-    scan = log("one", [[1.0, 7.5, np.inf, np.nan]]).scans[0]
-    assert scan.max_range == pytest.approx(7.5) and scan.max_range > 7.5
-    assert scan.ranges.tolist() == [1.0, 7.5, np.inf, np.inf]
-    many = log("many", [[1.0, 2.0, *[65.53] * 6, 3.0 + 0.1 * k] for k in range(20)])
-    assert many.scans[5].ranges.tolist() == [1.0, 2.0, *[np.inf] * 6, 3.5]
-    assert any(line.startswith("assumed: a laser of 65.39 m") for line in many.remarks())
+    said = complaint("replay", path, "--out", tmp_path / "out")
+    assert not share or {"mcap": "mcap recover", "ros1": "rosbag reindex"}.get(kind, "") in said
 
 
 def test_a_bag_with_scans_alone_has_no_odometry_the_frame_of_the_mount_is_the_robot_and_its_run_says_so(tmp_path):
@@ -305,17 +235,15 @@ def flaser(k: int, stamp: str) -> str:
 
 
 @pytest.mark.parametrize(("stamp", "said"), [
-    (lambda t: f"{1134860123 + t:.3f}", ""),
-    (lambda t: f"{1134860123 + t:g}", "all 24 scans have the stamp 1134860000.000000"),
-    (lambda t: f"{1134863123 + 100 * t:g}", "22 of 24 scans have the stamp of the one before"),
-    (lambda t: "0", "all 24 scans have the stamp 0.000000"), (lambda t: f"{t - 5:.3f}", "stamps begin at -5.000 s"),
+    (lambda t: f"{1134860123 + t:.3f}", ""), (lambda t: f"{1134860123 + t:g}", "stamps_repeat"),
+    (lambda t: f"{1134863123 + 100 * t:g}", "stamps_repeat"), (lambda t: "0", "stamps_repeat"),
+    (lambda t: f"{t - 5:.3f}", "stamps_negative"),
 ])  # fmt: skip
 def test_stamps_that_tell_no_time_leave_odometry_as_it_is(stamp, said, tmp_path):
-    log = open_log(carmen(tmp_path / "a.log", lambda k: flaser(k, stamp(2.0 * k))))
+    log, found = read(carmen(tmp_path / "a.log", lambda k: flaser(k, stamp(2.0 * k))))
     assert [tick.odometry.x for tick in log.ticks] == pytest.approx(1.2 * np.arange(24))
     assert (np.diff([tick.stamp_ns for tick in log.ticks]) > 0).all() and log.ticks[0].stamp_ns >= 0
-    notes = [note for note in log.remarks() if "assumed" not in note]
-    assert any(said in note for note in notes) if said else not notes
+    assert found.keys() - {said} == {"assumed_beams"} and (not said or said in found)
 
 
 def test_stamps_that_tell_no_time_are_refused_without_odometry(tmp_path, complaint):

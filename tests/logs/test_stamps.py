@@ -6,9 +6,10 @@ import pytest
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Tick
-from sixthsense.logs.log import Log, Relations, continued
+from sixthsense.logs.joining import Odometry
+from sixthsense.logs.log import Log, Relations
 from sixthsense.logs.replay_input import relations_of
-from sixthsense.logs.stamps import matched, passed_s, tell_time, unit_of
+from sixthsense.logs.stamps import ascending, matched, passed_s, unit_of
 
 
 def test_a_stamp_matches_the_nearest_one_within_half_a_period():
@@ -26,22 +27,22 @@ def test_a_stamp_matches_the_nearest_one_within_half_a_period():
 
 @pytest.mark.parametrize(("stamps_s", "expected"), [
     ([1.0, 1.3, 1.7], [0.3, 0.4]), ([1.0, 1.0, 1.6, 2.0], [0.3, 0.3, 0.4]), ([1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 1.0]),
-    ([5.0, 5.2, 1.0, 1.4], [0.2, 0.3, 0.4]), ([7.0, 7.0, 7.0], [np.inf, np.inf]),
+    ([7.0, 7.0, 7.0], [np.inf, np.inf]),
 ])  # fmt: skip
 def test_records_that_share_a_stamp_are_spread_up_to_the_next_one(stamps_s, expected):
     assert passed_s(np.round(1e9 * np.array(stamps_s)).astype(np.int64)) == pytest.approx(expected)
 
 
-def test_stamps_tell_time_where_most_differ_and_are_of_the_unit_that_makes_them_recent():
-    assert tell_time([1, 2, 2, 3, 3]) and not tell_time([1, 1, 1, 2]) and tell_time([4])
+def test_stamps_ascend_and_are_of_the_unit_that_makes_them_recent():
+    assert ascending([7, 9, 3, 4, 30]).tolist() == [7, 9, 10, 11, 30]
     for stamp, name in ((1.7e9, "seconds"), (3.0, "seconds"), (1.7e12, "milliseconds"), (1.7e18, "nanoseconds")):
         assert unit_of(np.array([stamp, 1.01 * stamp]))[1] == name
 
 
 def test_without_a_time_no_motion_is_a_jump_and_with_one_it_is():
-    poses = [Pose(1.3 * k, 0.2, 0.1 * k) for k in range(9)]
-    assert continued([(70, pose) for pose in poses])[1] == []
-    assert continued([(20_000_000 * k, pose) for k, pose in enumerate(poses)])[1]
+    poses = np.array([[1.3 * k, 0.2, 0.1 * k] for k in range(9)])
+    assert not len(Odometry(np.arange(70, 79), poses).jumps())
+    assert len(Odometry(20_000_000 * np.arange(9), poses).jumps()) == 8
 
 
 def test_relations_with_rounded_stamps_are_of_the_nearest_scans_and_how_many_is_said():

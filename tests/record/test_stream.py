@@ -56,13 +56,15 @@ def test_a_record_that_was_cut_is_read_up_to_its_last_whole_chunk_and_the_log_sa
         record(tick, trace)
         record._flush()
     record.close()
-    assert read_run(tmp_path, CONFIG.laser).remarks() == []
+    assert not read_run(tmp_path, CONFIG.laser).found
     file = tmp_path / FILE
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     log = read_run(tmp_path, CONFIG.laser)
     used = [tick.stamp_ns for tick in log.ticks]
     assert 2 < len(used) < len(ticks) and used == [tick.stamp_ns for tick in ticks[: len(used)]]
-    assert log.remarks() == [f"the recording is incomplete; its first {1.1 * (len(used) - 1):.1f} s are used"]
+    assert [str(finding) for finding in log.found] == [
+        f"the recording is incomplete; its first {1.1 * (len(used) - 1):.1f} s are used"
+    ]
 
 
 @pytest.mark.parametrize("explorer", ["frontier", "random"])

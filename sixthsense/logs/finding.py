@@ -1,0 +1,133 @@
+"""What is found out about a log: one kind for each thing that may be odd, and what is done about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+Action = Literal["applied", "said", "refused"]
+
+
+class Kind(NamedTuple):
+    """What is known of all findings of a kind."""
+
+    action: Action
+    """applied: the value is set in the configuration; said: a note; refused: an error"""
+    text: str
+    """of a note, or what was found; with the fields of the finding"""
+    option: str = ""
+    """that sets it, or that makes the log readable"""
+
+
+KINDS = {
+    # of both scans and odometry
+    "clocks": Kind("applied", "turns show {value:.2f} s later in the scans than in the odometry", "time_offset"),
+    "field_of_view": Kind(
+        "applied", "the turns of scans and odometry fit a field of view of {degrees:.1f}°", "laser.fov"
+    ),
+    "frozen_odometry": Kind("applied", "the odometry never changes, but the scans do", "no_odometry"),
+    "still": Kind("said", "the odometry never changes: the robot is taken to stand, and its first scan is the map"),
+    "turned_around": Kind(
+        "said",
+        "scans turn the other way round from odometry: are ranges from right to left (`laser.mirrored`), or do the "
+        "wheels report their turns with the wrong sign?",
+        "laser.mirrored",
+    ),
+    "turn_scale": Kind(
+        "said",
+        "the odometry turns {value:.2f} times as far as the scans: are the angles of the beams or the wheels wrong?",
+        "laser.fov",
+    ),
+    "one_clock": Kind("refused", "scans and odometry that share no time: {place}"),
+    # of odometry
+    "jump": Kind("said", "odometry jumps {place}, at most by {value:.1f} m: it goes on from where it was"),
+    "gap": Kind("said", "no odometry {place}: {value:.0f} scans are predicted by the last velocity"),
+    "driven_backward": Kind(
+        "said", "the odometry drives backward for {value:.0%} of its way: do the wheels report the wrong sign?"
+    ),
+    "odometry_unit": Kind(
+        "refused", "positions of odometry that change by {value:.4g} a second, which are mm or cm", "units odometry=mm"
+    ),
+    "headings_unit": Kind(
+        "refused", "headings of odometry, along which the robot goes only if they are degrees", "units headings=degrees"
+    ),
+    "headings_inverted": Kind("refused", "headings of odometry, along which the robot goes only with the other sign"),
+    "axes_exchanged": Kind("refused", "odometry, along whose headings the robot goes only with x and y exchanged"),
+    # of the laser
+    "ranges_unit": Kind("refused", "ranges with a median of {value:.5g}, which are mm or cm", "units ranges=mm"),
+    "no_return": Kind("refused", "no return in {value:.0f} scans"),
+    "lasers_in_turn": Kind("refused", "scans of two lasers in turn{place}, allowed: a frame for each laser"),
+    "sweep": Kind("said", "time_increment makes a sweep of {value:.3g} s, {place}: is its unit wrong? Left out"),
+    "angle_increment": Kind(
+        "said", "angle_increment spans {value:.4g} of what angle_min and angle_max do: it is used", "laser.fov"
+    ),
+    "assumed_beams": Kind("said", "assumed: beams {place}, which a FLASER line does not say", "laser.fov"),
+    "assumed_mount": Kind("said", "assumed: the laser at {place}", "laser.mount"),
+    "assumed_range": Kind("said", "assumed: a laser of {value:.2f} m, {place}", "laser.max_range"),
+    # of stamps
+    "stamps_back": Kind("said", "stamps decrease at {value:.0f} scans: replayed in the order of the file"),
+    "stamps_repeat": Kind(
+        "said", "{value:.0f} scans repeat the stamp of the one before: replayed in the order of the file"
+    ),
+    "stamps_unit": Kind("said", "stamps are taken as {place} since 1970"),
+    "stamps_negative": Kind("said", "stamps begin at {value:.3f} s: those of the run begin at 0"),
+    "stamps_of_recording": Kind("said", "stamps of {place}: the times of recording are used"),
+    # of the file
+    "left_out": Kind("said", "{value:.0f} {place}"),
+    "cut_short": Kind("said", "{place}"),
+    "odometry_frames": Kind("said", "odometry: /tf {place}", "odometry_frames"),
+    # of a trajectory beside the wheels
+    "mount": Kind("said", "by wheels and scans the laser is {place}", "laser.mount"),
+    "odometry_scale": Kind("said", "true distances are {value:.2f} times those of the wheels"),
+    "wheels_reversed": Kind("said", "the wheels drive the other way than the scans: do they report the wrong sign?"),
+}
+"""all kinds; a page of the documentation is made of them"""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that is odd in a log."""
+
+    kind: str
+    """a key of `KINDS`"""
+    value: float = math.nan
+    """seconds, metres, radians, a count or a ratio, as the kind says; NaN without one"""
+    sigma: float = math.nan
+    """of the value; NaN where it is not measured"""
+    place: str = ""
+    """where it is, or what it is of"""
+    vector: tuple[float, ...] = ()
+    """of a finding that has more numbers: x, y and heading of a mount"""
+
+    @property
+    def action(self) -> Action:
+        """What is done about it."""
+        return KINDS[self.kind].action
+
+    @property
+    def option(self) -> str:
+        """The option that sets it; "" for none."""
+        return KINDS[self.kind].option
+
+    @property
+    def text(self) -> str:
+        """What was found, without the option."""
+        return KINDS[self.kind].text.format(value=self.value, place=self.place, degrees=math.degrees(self.value))
+
+    @property
+    def remedy(self) -> str:
+        """What is allowed in place of what is refused."""
+        option, _, value = self.option.partition(" ")
+        return f"metres and radians, or `{option}` {value}" if option else ""
+
+    def __str__(self) -> str:
+        setting = " ".join([f"`{self.option}`", *self._setting()]) if self.option else ""
+        if not setting or f"`{self.option}`" in self.text:
+            return self.text
+        return f"{self.text} ({setting})" if self.action == "applied" else f"{self.text} (otherwise set {setting})"
+
+    def _setting(self) -> list[str]:
+        if self.vector:
+            return [" ".join(f"{number:.2f}" for number in self.vector)]
+        return [f"{self.value:.4g}"] if self.action == "applied" and not math.isnan(self.value) else []
