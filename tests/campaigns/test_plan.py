@@ -333,7 +333,7 @@ def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], 
 
 
 def test_a_row_has_the_axes_of_its_run_and_its_hash() -> None:
-    config = dataclasses.replace(ss.preset("worn"), scene="loop", seed=3, planner="rrtstar", task="tour")
+    config = ss.preset("worn").replaced(scene="loop", seed=3, planner="rrtstar", task="tour")
     names = {"scene": "loop", "estimator": "ekf-invariant", "front_end": "landmarks", "preset": "worn"}
     names |= {"planner": "rrtstar", "task": "tour", "seed": 3, "extractor": "lines", "explorer": "frontier"}
     names |= {"place_search": "branch-and-bound"}

@@ -1,6 +1,5 @@
 """A simulated robot and who listens to it, on this machine's network: what each takes of the other."""
 
-import dataclasses
 import itertools
 import math
 import os
@@ -64,7 +63,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
             session.configure(True)
             driven = session.config
             stated = driven.laser.replaced(mount=(0.3, 0.4, -0.5), max_range=3.5)
-            session.config = dataclasses.replace(driven, laser=stated)
+            session.config = driven.replaced(laser=stated)
             session.configure(False)
         finally:
             is_over.set()

@@ -1,4 +1,3 @@
-import dataclasses
 import itertools
 
 import numpy as np
@@ -90,7 +89,7 @@ def test_ransacs_draws_do_not_reach_the_world() -> None:
     # No landmark, no update: both robots believe the same and drive the same, whatever RANSAC draws.
     points = {"max_sigma_m": 1e-9}
     blind = {"features": {"landmarks": "corners", "points": points}, "grid": {"walls": False}}
-    config = merge(dataclasses.replace(SHORT, max_time=5.0), blind)
+    config = merge(SHORT.replaced(max_time=5.0), blind)
     one, two = (run(merge(config, {"features": {"lines": {"ransac_iterations": n}}})) for n in (1, 50))
     assert np.array_equal(np.array(one.truths), np.array(two.truths))
     assert not all(np.array_equal(a, b) for a, b in zip(one.walls_found, two.walls_found, strict=True))
