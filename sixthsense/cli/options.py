@@ -145,7 +145,7 @@ def _add_option(parser: argparse.ArgumentParser, name: str, field: FieldInfo, ow
     flag = f"--{arg.flag or flag_name(name)}"
     flags, options["dest"] = [flag], name
     if kind is bool:
-        flags += [re.sub(r"(--|.*\.)", r"\1no-", flag, count=1)]
+        flags += [re.sub(r"^(.*\.|--)", r"\1no-", flag)]
         options["nargs"] = 0
     elif arg.without is not None:
         options |= {"nargs": "?", "const": arg.without}
@@ -183,7 +183,7 @@ def parse(parser: Parser, args: Sequence[str]) -> tuple[Table, Table]:
 def _split(parser: Parser, args: Sequence[str]) -> tuple[list[str], list[tuple[str, Any]]]:
     """The words that argparse reads, and the options of users' parts, such as `--estimator-options.gain 0.9`.
 
-    A switch with a value, `--guard=false`, is replaced by the flag of that value.
+    A switch with a value, `--guard=false` or `--guard false`, is replaced by the flag of that value.
     """
     switches = {o.option_strings[0]: o for o in parser._actions if isinstance(o, Option) and o.kind is bool}
     words, of_parts, queue = list[str](), list[tuple[str, Any]](), list(args)
@@ -198,7 +198,8 @@ def _split(parser: Parser, args: Sequence[str]) -> tuple[list[str], list[tuple[s
             while not equals and queue and isinstance(_number(queue[0]), int | float):
                 values.append(queue.pop(0))
             of_parts.append((flag.removeprefix("--").replace("-", "_"), values if len(values) > 1 else text))
-        elif flag in switches and equals:
+        elif flag in switches and (equals or (queue and queue[0].lower() in _SWITCHED)):
+            text = text if equals else queue.pop(0)
             if text.lower() not in _SWITCHED:
                 raise InputError(flag, f"found {shown(text)}", "true or false")
             words.append(switches[flag].option_strings[0 if _SWITCHED[text.lower()] else 1])

@@ -221,3 +221,8 @@ def test_a_report_has_the_commands_that_repeat_its_run(replayed, prior_map, comm
     save_config(load_config("x/config.toml"), "x/config.toml", replayed, prior_map)
     found = [line for line in _reproduction("", ss.load("x")).splitlines() if line.startswith("sixthsense")]
     assert found == [f"sixthsense {command}", f"sixthsense {again}"]
+
+
+@pytest.mark.parametrize("switch", ["--features.no-deskew", "--features.deskew=false", "--features.deskew false"])
+def test_a_switch_is_turned_off_by_its_negative_or_by_a_value(switch: str, settings: Callable[..., Config]) -> None:
+    assert not settings(f"run rectangle {switch}").features.deskew
