@@ -64,7 +64,8 @@ This page is generated from the classes when the site is built.
 """.splitlines()
 _COMMANDS_INTRO = """\
 Exit codes: 0 done (also "explored in part", and a run of `live` ended by Ctrl-C); 1 the robot failed (stuck, lost,
-collided, goal unreachable, out of time, another robot); 2 bad input, reported in one line; 130 interrupted. All
+collided, goal unreachable, another robot); 2 bad input, reported in one line; 71 out of memory; 74 the disk is full;
+130 interrupted. All
 commands but `report`, `audit`, `scenes`, `parts` and `completion` accept the fields of the
 [configuration](configuration.md) as options in addition to those below.
 """.splitlines()

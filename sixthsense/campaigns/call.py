@@ -19,7 +19,7 @@ from sixthsense.campaigns.worker import FAILED, OtherVersionError, failed_row, r
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import path_of
-from sixthsense.config.parts import KINDS
+from sixthsense.config.parts import KINDS, import_again, searched
 from sixthsense.config.section import shown
 from sixthsense.config.tree import task_of
 from sixthsense.config.version import __version__
@@ -71,7 +71,8 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
             return
         if execution.scheduler is None:
             prepare(execution.say)  # once, not by each worker
-        with Processes(execution.workers) if execution.scheduler is None else connect(execution.scheduler) as executor:
+        local = Processes(execution.workers, functools.partial(import_again, dict(searched)))
+        with local if execution.scheduler is None else connect(execution.scheduler) as executor:
             dashboard = ""
             if isinstance(executor, Cluster):
                 check_workers(executor.client, campaign)

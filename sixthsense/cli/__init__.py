@@ -28,6 +28,7 @@ EXIT_CODES = {
     "explored in part": DONE,
     "log ended": DONE,
     "time is up": DONE,
+    "out of time": DONE,
     "ended by the user": DONE,
     "interrupted": INTERRUPTED,
 }
