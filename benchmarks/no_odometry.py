@@ -56,7 +56,7 @@ def log_row(name: str, data: Path, no_odometry: bool) -> list[str]:
         far = np.flatnonzero(off_m > 0.5)
         scans = {stamp: k for stamp, k in zip(stamps, keys, strict=True)}
         ends = [[min(scans, key=lambda s: abs(s - at)) for at in found.relations.stamps[k]] for k in far]
-        of_keys = [front_end._graph.sigmas(scans[b])[0][scans[a]] for a, b in ends]
+        of_keys = [front_end.loop_closures.sigmas(scans[b])[0][scans[a]] for a, b in ends]
         sigmas = [np.sqrt(s**2 + tracked[a] + tracked[b]) for s, (a, b) in zip(of_keys, ends, strict=True)]
     beyond = float(np.mean(off_m[far] > 3.0 * np.array(sigmas))) if len(far) else 0.0
     mode = "scans alone" if no_odometry else "odometry"

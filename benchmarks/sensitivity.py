@@ -35,12 +35,12 @@ GROUPS = {
     "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "alignment.NORMALS_AGREE"),
     "normals": ("returns._REACH_M", "returns._GRAZING_RAD"),
     "gates": ("links.NEAR_GATE_M", "links.WIDE_GATE_M", "links.SEEN_SHARE"),
-    "link covariance": ("links.FEW_RETURNS", "graph._CORRELATION", "graph.LOSS"),
-    "links": ("graph.LINKS", "graph.REACH_M", "links.AGREEMENT"),
-    "agreement": ("agreement._LEAST_JUDGED",),
+    "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph.LOSS"),
+    "links": ("graph.LINKS", "graph.REACH_M", "graph.AGREEMENT"),
+    "visibility": ("visibility._LEAST_JUDGED",),
     "odometry": ("motion_source.WHEELS_M_PER_M", "motion_source._RAD_PER_RAD", "motion_source.UNSTEADY"),
     "slips": (
-        "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._SLIPS", "tracking._NO_EVIDENCE",
+        "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._SLIPS", "tracking._TELLS_NOTHING",
         "tracking._NEWEST_SHARE",
     ),
     "uncertainty": (
@@ -48,14 +48,15 @@ GROUPS = {
         "loop_closures._CERTAIN_M",
     ),
     "place search": (
-        "known_places.RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
+        "place_search.RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
         "place_search._CANDIDATES",
     ),
     "evidence": ("place_search._CLEARLY", "place_search._PARTNERS", "place_search._SCANS_BEYOND"),
-    "votes": ("place_search.NEW_M", "closings._CONTRADICTION"),
-    "thinning": ("closings._ENOUGH", "closings._NEAR_M"),
+    "verification": ("place_search._GOOD_SHARE",),
+    "votes": ("place_search.NEW_M", "graph._CONTRADICTION"),
+    "thinning": ("graph._ENOUGH", "graph._NEAR_M"),
 }  # fmt: skip
-SHARES = {"NORMALS_AGREE", "AGREEMENT", "_AS_GOOD"}
+SHARES = {"NORMALS_AGREE", "AGREEMENT", "_DOUBTED", "_AS_GOOD"}
 """least shares, which cannot be doubled"""
 HEAD = ["group", "constant", "value", "lower", "mean, m", "largest, m", "higher", "mean, m", "largest, m"]
 

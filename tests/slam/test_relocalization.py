@@ -61,7 +61,7 @@ MAP = map_of(ROOMS, WAY, LASER)
 def search(poses, walls=ROOMS, prior=MAP, own=None, min_score=0.62):
     """Metres driven, and the error of its pose, once a robot that drives along the poses is certain; None if never."""
     own = own or Pose(3.0, -2.0, 0.7)
-    relocalizer = Relocalizer(prior.scans, Config(grid=GRID, scans=ScansConfig(min_score=min_score)))
+    relocalizer = Relocalizer(prior.evidence, Config(grid=GRID, scans=ScansConfig(min_score=min_score)))
     for k, pose in enumerate(poses):
         found = relocalizer.take(seen(walls, pose, k), own @ poses[0].inverse() @ pose)
         if found is not None:
