@@ -41,12 +41,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def complaint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """What a command says to bad input: one line, here without the program's name; it writes nothing."""
+    """What a command says to bad input or a full disk: one line, without the program's name; it writes nothing."""
 
-    def said(*words: object, writes_nothing: bool = True) -> str:
+    def said(*words: object, writes_nothing: bool = True, code: int = BAD_INPUT) -> str:
         before = sorted(tmp_path.rglob("*"))
         capsys.readouterr()
-        assert main([str(word) for word in words]) == BAD_INPUT
+        assert main([str(word) for word in words]) == code
         out, err = capsys.readouterr()
         assert out == "" and err.count("\n") == 1 and err.startswith("sixthsense: ") and "Traceback" not in err
         assert not writes_nothing or sorted(tmp_path.rglob("*")) == before

@@ -114,7 +114,7 @@ def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")
 def test_a_full_disk_ends_the_run_in_one_line(tmp_path, complaint, monkeypatch):
     monkeypatch.setattr(folder, "FILE", "/dev/full")
-    said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False)
+    said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False, code=cli.DISK_FULL)
     assert "/dev/full: No space left on device" in said
     assert not (tmp_path / "x").exists()
 
@@ -124,6 +124,6 @@ def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, complaint
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(exports, "write_landmarks", full)
-    said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False)
+    said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False, code=cli.DISK_FULL)
     assert "x.partial: No space left on device" in said
     assert len(load(tmp_path / "x.partial").trace.estimates) > 20

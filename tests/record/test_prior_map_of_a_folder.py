@@ -55,7 +55,7 @@ def test_the_digest_of_a_map_changes_with_each_of_its_arrays_and_with_nothing_el
     changes: list[Callable[[], object]] = [
         lambda: trace.final.landmarks.__iadd__(1),
         lambda: trace.joint_cov.__imul__(2),
-        lambda: setattr(trace.records[4], "sigma_m", 7.0),
+        lambda: setattr(trace.records[4], "observations", 70),
         lambda: setattr(trace, "grid", None),
     ]
     for change in changes:

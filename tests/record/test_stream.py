@@ -46,7 +46,6 @@ def test_a_log_keeps_its_own_stamps_beside_the_clock(tmp_path):
     log = read_run(tmp_path, laser)
     assert [tick.stamp_ns for tick in log.ticks] == clock
     assert [tick.log_stamp_s for tick in log.ticks] == own
-    assert log.backward_stamps == 1
 
 
 def test_a_record_that_was_cut_is_read_up_to_its_last_whole_chunk_and_the_log_says_how_far(tmp_path):
