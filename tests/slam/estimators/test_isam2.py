@@ -1,6 +1,5 @@
 """The smoother with its default settings, in hard cases, and with its losses; the laws compare it with a batch one."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -30,7 +29,7 @@ MISSING = np.zeros(2)
 def test_the_default_settings_stay_near_the_converged_solution(seed):
     """Measured over six drives: 0.1 % of a sigma on average, 2.7 % at most; covariances within 1.2 % and 8 %."""
     # With all poses: which ones add too little to stay is decided by covariances, which differ a little.
-    near, there = (make("isam2", isam2=dataclasses.replace(each, least_gain=0.0)) for each in (DEFAULT, CONVERGED))
+    near, there = (make("isam2", isam2=each.replaced(least_gain=0.0)) for each in (DEFAULT, CONVERGED))
     gaps, cov_gaps = [], []
     for odometry, observations in random_log(seed, POINTS, steps=150, most=6):
         for smoother in (near, there):

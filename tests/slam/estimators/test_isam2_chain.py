@@ -1,6 +1,5 @@
 """Poses that add nothing to the map are taken out of the smoother's graph."""
 
-import dataclasses
 import math
 
 import gtsam
@@ -19,7 +18,7 @@ from sixthsense.slam.estimators import Link
 from sixthsense.slam.estimators.isam2_chain import map_gain
 
 SPARING = ISAM2Config(undo_probability=1.0, least_gain=0.05)
-KEEPING = dataclasses.replace(SPARING, least_gain=0.0)
+KEEPING = SPARING.replaced(least_gain=0.0)
 WALLS = np.array([[0.0, -6.0], [math.pi / 2, -5.0], [math.pi, -6.0]])
 WALL_COV = np.diag([1e-5, 1e-4])
 LANDMARKS = np.vstack([POINTS, np.zeros((5, 2)), WALLS])  # by id: walls are 10, 11, 12
