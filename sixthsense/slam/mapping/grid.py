@@ -27,8 +27,8 @@ from sixthsense.slam.mapping.evidence import (
     count_scan,
     touched_squares,
 )
-from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
-from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, marked, near_points, stamped
+from sixthsense.slam.mapping.freespace import Bools, FreeSpace
+from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, Places, Tiles
 
@@ -212,79 +212,23 @@ class Grid:
             np.add.at(self._cells.cover, covered, count)
             self.changes.add(box_of(self._bodies))
 
-    def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0, within: Ellipse | None = None) -> FreeSpace:
-        """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.
+    def free_space(self, *points_world: ArrayLike) -> FreeSpace:
+        """Where a robot may drive that keeps the clearance, with the given (2,) points covered."""
+        from sixthsense.slam.mapping.clearance import Clearance
 
-        `margin_m` is added to the inflation. A negative one reduces it, down to no inflation. A positive one gives way
-        within `margin_m` of the points, so that a robot that near an obstacle can leave it, and a goal there can be
-        reached. All cells outside `within` are blocked; the inflation with a margin is computed inside it alone. Raises
-        ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
-        """
-        cell_m = self._config.cell_m
-        masks = self._whole_masks()
-        narrow = FreeSpace(masks.covered, masks.seen, self.origin, cell_m).covering(*points_world)
-        if margin_m == 0.0:
-            return narrow if within is None else narrow.between(within)
-        if not margin_m < math.inf:
-            raise ValueError(f"margin_m: found {margin_m}, allowed: a finite number")
-        inflation = max(self._inflation + margin_m / cell_m, 0.0)
-        check_inflation(inflation)
-        stencil = disc(inflation)
-        rim = max(int(stencil.max(initial=0)) - int(self._stencil.max()), 0)
-        seen = np.pad(masks.seen, rim)
-        seen.flags.writeable = False
-        origin = self.origin[0] - rim * cell_m, self.origin[1] - rim * cell_m
-        wide = FreeSpace(seen, seen, origin, cell_m).covering(*points_world)
-        origin, shape = wide.origin, wide.seen.shape
-        part = (
-            (slice(0, shape[0]), slice(0, shape[1])) if within is None else within.rows_and_cols(shape, origin, cell_m)
-        )
-        blocked = np.ones(shape, dtype=np.bool_)
-        first = round(origin[1] / cell_m), round(origin[0] / cell_m)
-        row, col = first[0] + part[0].start, first[1] + part[1].start
-        height, width = blocked[part].shape
-        blocked[part] = self.inflated(Box(row, col, row + height, col + width), margin_m)
-        for point in points_world if margin_m > 0.0 else ():
-            give_way(blocked, origin, narrow, point, margin_m)
-        if within is not None:
-            within.block_beyond(blocked, origin, cell_m)
-        blocked.flags.writeable = False
-        return FreeSpace(blocked, wide.seen, origin, cell_m)
-
-    def inflated(self, box: Box, margin_m: float) -> Bools:
-        """(H, W) the cells of a box that the inflation of an obstacle covers, with a margin as of `free_space`."""
-        stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
-        reach = int(stencil.max(initial=0))
-        around = box.grown(reach)
-        solid = self.part("obstacles", around)
-        if len(self._bodies):
-            solid |= marked(around, self._bodies)
-        return np.asarray(stamped(solid, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
+        clearance = Clearance(self._config.cell_m, self.inflation_m, self.inflation_m)
+        clearance.update(self)
+        return clearance.free_space(self.inflation_m).covering(*points_world)
 
     def obstacle_points(self, box: Box) -> Array:
         """(N, 2) where the obstacles in a box are, world frame, metres: the mean of each cell's returns."""
         rows, cols = np.nonzero(self.part("obstacles", box))
         down, across = (self.part(name, box)[rows, cols] / OFFSET for name in ("down", "across"))
         points = np.stack([box.left + cols + 0.5 + across, box.top + rows + 0.5 + down], axis=1)
+        rows, cols = self._bodies.T
+        inside = (rows >= box.top) & (rows < box.bottom) & (cols >= box.left) & (cols < box.right)
+        points = np.concatenate([points, self._bodies[inside][:, ::-1] + 0.5])
         return np.asarray(points * self._config.cell_m)
-
-    def has_obstacle_within(self, cell: tuple[int, int], reach: float) -> bool:
-        """Whether an obstacle lies within `reach` cells from a cell, row, col from the world's origin."""
-        return self._tiles.has_within(self._cells.obstacles, cell, reach)
-
-    def near_returns(self, box: Box, distance_m: float) -> Bools:
-        """(H, W) the cells of a box in which no place keeps a distance from where obstacles are, and from bodies.
-
-        So a gap is as wide as its returns are apart, whichever way it lies to the cells.
-        """
-        reach = math.ceil(distance_m / self._config.cell_m) + 1
-        around, shape = box.grown(reach), (box.bottom - box.top, box.right - box.left)
-        points = self.obstacle_points(around) / self._config.cell_m - (box.left, box.top)
-        near = near_points(shape, points[:, ::-1], distance_m / self._config.cell_m)
-        if len(self._bodies):
-            stencil = disc(distance_m / self._config.cell_m)
-            near |= stamped(marked(around, self._bodies), stencil)[reach:-reach, reach:-reach]
-        return np.asarray(near)
 
     def part(self, name: CellField, box: Box) -> NDArray[Any]:
         """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""

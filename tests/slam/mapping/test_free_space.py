@@ -12,9 +12,8 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import EvidenceRules
-from sixthsense.slam.mapping.freespace import Ellipse
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.inflation import disc_cells, marked, too_near
+from sixthsense.slam.mapping.inflation import disc_cells
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.mapping.submap import Submap, weakened
@@ -37,29 +36,6 @@ def scattered(rng):
     return Scan.from_config(rng.uniform(0.3, 2.4, LASER.beams), LASER)
 
 
-@pytest.mark.parametrize("margin", [-0.06, 0.0, 0.13])
-@pytest.mark.parametrize("bounded", [False, True])
-def test_free_space_is_that_of_a_disc_that_touches_no_obstacle_but_near_points(margin, bounded):
-    rng = np.random.default_rng(int(100 * (1 + margin)) + bounded)
-    grid = looked(rng)
-    points = rng.uniform(-1.2, 1.2, (2, 2)), np.array([[3.1, -0.4]])
-    points = [*points[0], *points[1]]
-    within = Ellipse(points[0], points[1], 1.3 * math.dist(points[0], points[1])) if bounded else None
-    space = grid.free_space(*points, margin_m=margin, within=within)
-    rows, cols = np.nonzero(grid.obstacles)
-    solid = np.column_stack([cols + 0.5, rows + 0.5]) * CELL + grid.origin
-    assert all(space.contains(point) for point in points) and len(solid) > 20
-    for row, col in np.ndindex(*space.blocked.shape):
-        centre = np.array(space.origin) + (np.array([col, row]) + 0.5) * CELL
-        away = np.hypot(*np.maximum(np.abs(solid - centre) - 0.5 * CELL, 0.0).T).min()
-        near = margin > 0.0 and min(math.dist(centre, point) for point in points) <= margin + CELL
-        blocked = away <= 0.15 + (0.0 if near else margin) + 1e-9
-        if within is not None:
-            way = math.dist(centre, within.a) + math.dist(centre, within.b)
-            blocked |= way > within.length_m + 2 * CELL
-        assert space.blocked[row, col] == blocked
-
-
 def test_discs_cover_the_cells_that_they_touch():
     centres, radius = np.array([[0.33, -1.21], [0.45, -1.1]]), 0.16
     found = set(map(tuple, disc_cells(centres, radius, CELL).tolist()))
@@ -68,18 +44,6 @@ def test_discs_cover_the_cells_that_they_touch():
         for col in range(-10, 20):
             gap = np.maximum(np.abs(own - (row, col)) - 0.5, 0.0) * CELL  # of a disc about the centre of its cell
             assert ((row, col) in found) == bool((np.hypot(*gap.T) <= radius).any())
-    box = Box(-20, 2, -13, 9)
-    inside = {(row - box.top, col - box.left) for row, col in found if -20 <= row < -13 and 2 <= col < 9}
-    mask = marked(box, np.array(sorted(found)))
-    assert mask.shape == (7, 7) and set(zip(*map(np.ndarray.tolist, np.nonzero(mask)), strict=True)) == inside
-
-
-def test_cells_are_too_near_within_a_radius_of_an_obstacle():
-    obstacles = np.random.default_rng(2).random((14, 19)) < 0.03
-    rows, cols = np.nonzero(obstacles)
-    for radius in (0.7, 2.0, 3.4):
-        away = np.hypot(np.arange(14)[:, None, None] - rows, np.arange(19)[None, :, None] - cols).min(axis=2)
-        assert np.array_equal(too_near(obstacles, radius), away < radius)
 
 
 def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():

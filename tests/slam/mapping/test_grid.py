@@ -100,17 +100,6 @@ class PlainGrid:
         return {c for c, n in self.hits.items() if n >= least and self.passes.get(c, 0) <= ratio * n}
 
 
-def inflated(obstacles: Array, radius_cells: float) -> Array:
-    """Cells from whose centre the square of an obstacle cell is within reach, one by one."""
-    blocked = np.zeros(obstacles.shape, dtype=bool)
-    for r, c in np.argwhere(obstacles):
-        near = np.s_[max(r - 6, 0) : r + 7, max(c - 6, 0) : c + 7]
-        rows, cols = np.ogrid[near]
-        gap = np.hypot(np.maximum(abs(rows - r) - 0.5, 0), np.maximum(abs(cols - c) - 0.5, 0))
-        blocked[near] |= gap <= radius_cells + 1e-9
-    return blocked
-
-
 def test_counts_in_the_smallest_type_are_the_same_counts() -> None:
     grid, rng = Grid(CONFIG, 0.2), np.random.default_rng(4)
     for _ in range(5):
@@ -155,23 +144,6 @@ def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
     assert set(cells_by_world(grid, grid.seen)) == plain.seen
     assert grid.seen_area_m2 == pytest.approx(len(plain.seen) * CONFIG.cell_m**2)
     assert set(cells_by_world(grid, grid.obstacles)) == plain.obstacles
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("radius", [0.0, 0.05, 0.17, 0.3])
-def test_the_incremental_inflation_equals_a_full_inflation(seed: int, radius: float) -> None:
-    rng = np.random.default_rng(seed)
-    grid = Grid(replace(CONFIG, clearance_m=0.0, passes_per_hit=0.6), radius)
-    toggled_off = 0
-    for _ in range(10):
-        before = cells_by_world(grid, grid.obstacles)
-        pose = random_pose(rng)
-        scan = scan_of_room(pose)
-        noisy = scan.ranges + rng.normal(0.0, 0.5, 120).astype(np.float32)
-        grid.add(pose, replace(scan, ranges=noisy), NO_WALLS)
-        toggled_off += len(set(before) - set(cells_by_world(grid, grid.obstacles)))
-        assert np.array_equal(grid.free_space().blocked, inflated(grid.obstacles, radius / CONFIG.cell_m))
-    assert toggled_off > 0
 
 
 def test_growth_keeps_what_was_counted() -> None:
