@@ -14,6 +14,7 @@ STATED = {
     "scene": "rectangle", "preset": "worn", "goal": (1.25, -0.75), "start": (-1.25, -0.4, 0.3),
     "tour": ((1.5, -0.5), (-1.5, 0.25)), "region": (-1.75, -1.5, 1.9, 1.6), "max_time": 0.3, "estimator": "isam2",
     "people": True, "no_odometry": True, "front_end": "scan-matching",
+    "time_offset": 0.05,
 }  # fmt: skip
 """values that follow from no type"""
 TOGETHER = {

@@ -19,6 +19,7 @@ class Fields(TypedDict, total=False):
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool
+    time_offset: float | None
     planner: PartName
     explorer: PartName
     task: Literal["explore", "goal", "tour"]
@@ -60,6 +61,7 @@ class RunFields(TypedDict, total=False):
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool
+    time_offset: float | None
     planner: PartName
     explorer: PartName
     task: Literal["explore", "goal", "tour"]
@@ -103,6 +105,7 @@ class MergeFields(TypedDict, total=False):
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool
+    time_offset: float | None
     seed: int
     max_time: float | None
     people: bool | None
@@ -129,6 +132,7 @@ class ReplayFields(TypedDict, total=False):
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool
+    time_offset: float | None
     seed: int
     max_time: float | None
     people: bool | None
@@ -158,6 +162,7 @@ class CampaignFields(TypedDict, total=False):
     calibrate_wheels: bool
     calibrate_sensor: bool
     no_odometry: bool
+    time_offset: float | None
     planner: PartName | Sequence[PartName]
     explorer: PartName | Sequence[PartName]
     task: Literal["explore", "goal", "tour"]

@@ -151,7 +151,7 @@ class MeasuredRun:
 
     def __repr__(self) -> str:
         lines = self.summary
-        shown = "; ".join(f"{name} {lines[name]}" for name in ("map", "accuracy", "consistency") if name in lines)
+        shown = "; ".join(f"{name} {lines[name]}" for name in ("map", "accuracy") if name in lines)
         lacks = f"; missing: {', '.join(self.missing)}" if self.missing else ""
         return f"<{type(self).__name__} {self.title}; {shown}{lacks}>"
 
