@@ -1,4 +1,3 @@
-import dataclasses
 import math
 
 import numpy as np
@@ -36,7 +35,7 @@ def scan_of(points: Array) -> Scan:
     index = np.round((bearings + math.pi) / (2.0 * math.pi / beams)).astype(int) % beams
     for i, r in zip(index, np.hypot(points[:, 0], points[:, 1]), strict=True):
         ranges[i] = min(ranges[i], r)
-    return Scan.from_config(ranges, dataclasses.replace(CONFIG.laser, beams=beams))
+    return Scan.from_config(ranges, CONFIG.laser.replaced(beams=beams))
 
 
 def guard_before(points: Array, config: Config = CONFIG) -> tuple[Guard, Array]:

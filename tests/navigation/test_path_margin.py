@@ -1,4 +1,3 @@
-import dataclasses
 import math
 
 import numpy as np
@@ -17,7 +16,7 @@ from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 CONFIG = Config()
-NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), dataclasses.replace(CONFIG.laser, max_range=6.0))
+NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), CONFIG.laser.replaced(max_range=6.0))
 RADIUS = 0.2
 
 

@@ -139,7 +139,7 @@ def test_a_bresenham_line_is_connected_thin_and_near_the_true_line(seed: int) ->
 @pytest.mark.parametrize("seed", range(6))
 def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    config = replace(CONFIG, min_hits=1 + seed % 2, max_hits=3, passes_per_hit=1.0 + seed % 3)
+    config = CONFIG.replaced(min_hits=1 + seed % 2, max_hits=3, passes_per_hit=1.0 + seed % 3)
     grid, plain = Grid(config, 0.2), PlainGrid(config)
     for _ in range(8):
         pose = random_pose(rng)
@@ -161,7 +161,7 @@ def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
 @pytest.mark.parametrize("radius", [0.0, 0.05, 0.17, 0.3])
 def test_the_incremental_inflation_equals_a_full_inflation(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
-    grid = Grid(replace(CONFIG, clearance_m=0.0, passes_per_hit=0.6), radius)
+    grid = Grid(CONFIG.replaced(clearance_m=0.0, passes_per_hit=0.6), radius)
     toggled_off = 0
     for _ in range(10):
         before = cells_by_world(grid, grid.obstacles)
@@ -320,7 +320,7 @@ def test_a_scan_counts_however_many_scans_elsewhere_came_before_it(between: int)
 
 
 def test_more_hits_than_a_byte_holds_are_counted() -> None:
-    grid, pose = Grid(replace(CONFIG, max_hits=301), 0.2), Pose(0.33, -0.21, 0.7)
+    grid, pose = Grid(CONFIG.replaced(max_hits=301), 0.2), Pose(0.33, -0.21, 0.7)
     for _ in range(310):
         grid.add(pose, scan_of_room(pose, max_range=4.0), np.zeros((0, 2, 2)))
     assert grid.hits.max() == 301 and grid.passes.max() == 310
