@@ -11,4 +11,4 @@ class Threads(ThreadPoolExecutor):
 
 @pytest.fixture
 def nearby(monkeypatch):
-    monkeypatch.setattr("sixthsense.campaigns.call.Processes", lambda _: Threads(2))
+    monkeypatch.setattr("sixthsense.campaigns.call.Processes", lambda *_: Threads(2))
