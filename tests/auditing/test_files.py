@@ -117,7 +117,7 @@ def test_the_command_prints_writes_and_draws_and_may_require_consistency(tmp_pat
     assert main(["audit", *wrong]) == 0
     assert main(["audit", *wrong, "--require", "consistent"]) == 1
     assert "overconfident: NEES " in capsys.readouterr().out
-    assert "--json: " in complaint("audit", *words, *out)
+    assert "json: " in complaint("audit", *words, *out)
     with pytest.raises(ss.InputError, match="cannot be written"):
         ss.audit(*words[::2]).save(tmp_path / "a.json" / "audit.json")
 

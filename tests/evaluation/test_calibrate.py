@@ -1,4 +1,3 @@
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ def _compiled() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, list[Calibration]]:
-    return {name: [calibrate(dataclasses.replace(c, seed=s)) for s in range(2)] for name, c in WORLDS.items()}
+    return {name: [calibrate(c.replaced(seed=s)) for s in range(2)] for name, c in WORLDS.items()}
 
 
 def driven(config: Config, samples: int = 100):

@@ -120,5 +120,5 @@ def test_what_is_out_of_range_is_not_hit_and_a_uniform_noise_has_the_sigma_of_it
     places, far = between([6.3, 0.0], [8.7, 0.0], 9), Pose(7.3, 11.5, 2.2)
     assert len(faces(wall(Pose(7.3, 1.9, 2.2), places), Pose(7.3, 1.9, 2.2))) == 1
     assert faces(wall(far, places), far) == []
-    half_widths = TrueLaser(LaserConfig(), LaserNoise("uniform", 0.03, 0.006))
+    half_widths = TrueLaser(LaserConfig(), LaserNoise(distribution="uniform", range_m=0.03, bearing_rad=0.006))
     assert half_widths.sigmas == pytest.approx((0.03 / 3**0.5, 0.006 / 3**0.5))

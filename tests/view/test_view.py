@@ -53,7 +53,7 @@ def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "one"
     file = out.parent / "deep" / "one.rrd"
     words = ["--max-time", "6", "--seed", "3", "--out", str(out), "--view", str(file)]
-    assert main(["run", "apartment", *words]) == 1
+    assert main(["run", "apartment", *words]) == 0
     return out
 
 
