@@ -45,10 +45,6 @@ FOUND = (
     ("wheel_forward_scale_error", ".3f"),
     ("wheel_turn_scale_error", ".3f"),
     ("wheel_drift_rad_per_m", ".3f"),
-    ("wheel_latency_s", ".3f"),
-    ("wheel_curve_loss_m_per_rad", ".3f"),
-    ("sensor_yaw_rad", ".3f"),
-    ("sensor_forward_m", ".3f"),
     ("sensor_bearing_scale_error", ".3f"),
     ("sensor_centre_tangent", ".3f"),
 )

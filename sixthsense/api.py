@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Unpack
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute, path_of
-from sixthsense.config.parts import import_named
+from sixthsense.config.parts import EXPLORERS, KINDS, PLANNERS, import_named
 from sixthsense.config.section import shown
-from sixthsense.config.tree import implied, task_of
+from sixthsense.config.tree import applied, part_of, task_of
+from sixthsense.core.random_streams import random_streams
 from sixthsense.running.runs import RunHooks, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
@@ -136,11 +138,7 @@ def replay(
 
     given = dict(fields)
     prior = _prior_start(prior_map, given)
-    if isinstance(log, (str, Path)):
-        chosen = LogSelection(topics, robot, odometry_frames, units)
-        found = _open_with_config(Path(log), config, relations, chosen, given, out)
-    else:
-        found = _opened(log, config, relations, given)
+    found = _opened(log, config, relations, LogSelection(topics, robot, odometry_frames, units), given, out)
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
         return replay_log(found, folder, _watch(on_tick, progress), prior)
 
@@ -216,36 +214,26 @@ def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorSt
 
 
 def _opened(
-    log: Log, config: Config | None, relations: str | Path | Relations | None, given: Mapping[str, Any]
-) -> ReplayInput:
-    """The input of a replay from a log that the caller has opened."""
-    from sixthsense.logs.replay_input import of_opened
-
-    if not hasattr(log, "ticks"):
-        raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
-    if config is None:
-        raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
-    return of_opened(log, _apply_fields(config, given), relations)
-
-
-def _open_with_config(
-    log: Path,
+    log: str | Path | Log,
     config: Config | None,
     relations: str | Path | Relations | None,
     chosen: LogSelection,
     given: dict[str, Any],
     out: str | Path | None,
 ) -> ReplayInput:
-    """Open a log's file or folder with its configuration."""
-    from sixthsense.logs.replay_input import base_of, check_options, check_out, open_recorded
+    """The input of a replay from a log's file or folder, or from a log that the caller has opened."""
+    from sixthsense.logs.replay_input import base_of, check_options, check_out, of_opened, open_recorded
 
-    check_options(log, given, chosen)
-    if config is not None and "preset" in given:
-        raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
-    base = given.pop("preset", None) if config is None else config
-    check_out(log, None if out is None else path_of("out", out))
-    settings = _apply_fields(base_of(log) if base is None else base, given)
-    return open_recorded(log, settings, relations, chosen)
+    if isinstance(log, str | Path):
+        check_options(log, given, chosen)
+        check_out(log, None if out is None else path_of("out", out))
+        base = (given.pop("preset", None) or base_of(log)) if config is None else config
+        return open_recorded(log, _apply_fields(base, given), relations, chosen)
+    if not hasattr(log, "ticks"):
+        raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
+    if config is None:
+        raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
+    return of_opened(log, _apply_fields(config, given), relations)
 
 
 def _watch(on_tick: OnTick | None, progress: bool | None) -> RunHooks:
@@ -264,13 +252,25 @@ def with_task(config: Config, given: Mapping[str, Any]) -> Config:
     return config
 
 
+def check_made(config: Config) -> None:
+    """Make the parts of a user's own once, before anything is compiled or written.
+
+    Raises PartError for one that cannot be made, or has not what its contract asks for.
+    """
+    if any(getattr(config, parts.kind) not in parts.shipped for parts in KINDS):
+        from sixthsense.slam.slam import Slam
+
+        with Slam(config):
+            for kind in (PLANNERS, EXPLORERS):
+                part_of(config, kind).make(random_streams(config.seed).planner)
+
+
 def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
     """Apply the given fields to a preset or a complete configuration."""
     if isinstance(base, Config) and "preset" in given:
         raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
     config = base if isinstance(base, Config) else preset(base)
     import_named(given)
-    merged = merge(config, given)
-    for note in implied(config, given, merged):
-        warnings.warn(note, stacklevel=4)
-    return merged
+    found = applied(config, given, functools.partial(warnings.warn, stacklevel=5))
+    check_made(found)
+    return found

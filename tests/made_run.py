@@ -86,7 +86,7 @@ def made_run() -> Trace:
         guard_stops=7, left=[UnseenPlace(5.2, 1.3, 0.7, "gave up"), UnseenPlace(5.4, 0.9, 1.6, "unreachable")],
         trajectory=truths[keys] + rng.normal(0.0, 0.02, (len(keys), 3)), culled=8, walls_merged=9, name="made",
         loop_closures=LoopClosureCounts(14, 19, 12), last_position=np.array([4.3, 3.9]),
-        wheels=rng.uniform(0.01, 0.02, (2, 5)), sensor=rng.uniform(0.01, 0.02, (2, 4)),
+        wheels=rng.uniform(0.01, 0.02, (2, 3)), sensor=rng.uniform(0.01, 0.02, (2, 2)),
         since_covs=list(covariances(rng, SCANS, np.array([0.01, 0.03, 0.02]))),
     )  # fmt: skip
     trace.associations = [Association({}, 2 + k % 3, 1.3 * k + 0.4, 2 * (k % 4), k % 2) for k in range(len(keys))]

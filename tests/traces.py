@@ -90,7 +90,7 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
         trace.records[i] = Record(kind, 3 + k, 30 + k, 50 + k, rng.normal(size=(2, 2)))
     trace.loop_closures = LoopClosureCounts(21, 22, 23)
     trace.links = PoseLinks(np.array([[0, 2], [3, 1]]), np.array(poses_of(rng, 2)), np.array([cov_of(rng)] * 2))
-    trace.wheels, trace.sensor = rng.normal(size=(2, 5)), rng.normal(size=(2, 4))
+    trace.wheels, trace.sensor = rng.normal(size=(2, 3)), rng.normal(size=(2, 2))
     trace.relations = Relations(rng.uniform(0.0, 1e9, (2, 2)), np.array(poses_of(rng, 2)))
     trace.last_position = rng.normal(size=2)
     cause = Cause("slip", "the wheels slipped", 1.5, 2.5, rng.normal(size=(2, 2)))

@@ -17,7 +17,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
 from sixthsense.config.parts import FILTERS, KINDS, options_class
 from sixthsense.config.section import shown
-from sixthsense.config.tree import check_parts
+from sixthsense.config.tree import with_checked_parts
 
 ALWAYS = ("scene", "estimator", "preset", "planner")
 """axes that every campaign has a value of"""
@@ -90,9 +90,7 @@ def with_parts(base: Config, fields: Mapping[str, Any], **names: str) -> Config:
         if name not in parts.shipped:
             factory = parts.load(name)
             table[options] = fields.get(options, {}) if options_class(factory) else {}
-    config = merge(base, table)
-    check_parts(config)
-    return config
+    return with_checked_parts(merge(base, table))
 
 
 def own_parts(settings: Iterable[Config]) -> list[tuple[str, str]]:

@@ -21,17 +21,11 @@ if TYPE_CHECKING:
 DONE, FAILED, BAD_INPUT, DOUBTFUL, BROKEN, INTERRUPTED = 0, 1, 2, 3, 4, 130
 OUT_OF_MEMORY, DISK_FULL = 71, 74
 """EX_OSERR and EX_IOERR of sysexits.h"""
-EXIT_CODES = {
-    "goal reached": DONE,
-    "tour ended": DONE,
-    "explored": DONE,
-    "explored in part": DONE,
-    "log ended": DONE,
-    "time is up": DONE,
-    "out of time": DONE,
-    "ended by the user": DONE,
-    "interrupted": INTERRUPTED,
-}
+_GOOD_ENDS = (
+    *("goal reached", "tour ended", "explored", "explored in part"),
+    *("log ended", "time is up", "out of time", "ended by the user"),
+)
+EXIT_CODES = dict.fromkeys(_GOOD_ENDS, DONE) | {"interrupted": INTERRUPTED}
 """exit codes of a run's outcomes; every other outcome is a failure of the robot"""
 
 EXIT_CODES_OF_MAPS = {"good": DONE, "doubtful": DOUBTFUL, "broken": BROKEN}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -71,21 +72,9 @@ class Audit(Options):
 
         if self.validates:
             return _validated(self)
-        found = audit(
-            self.estimate[0] if len(self.estimate) == 1 else list(self.estimate),
-            list(self.truth) or None,
-            pair=self.pair,
-            covariance=list(self.covariance) or None,
-            topic=self.topic,
-            pair_topic=self.pair_topic,
-            truth_topic=self.truth_topic,
-            truth_frames=self.truth_frames,
-            frame=self.frame,
-            order=self.order,
-            align=self.align,
-            time_offset=self.time_offset,
-            same_start=self.same_start,
-        )
+        given = self.model_dump(include=set(inspect.signature(audit).parameters) - {"estimate"})
+        lists = {"truth": list(self.truth) or None, "covariance": list(self.covariance) or None}
+        found = audit(self.estimate[0] if len(self.estimate) == 1 else list(self.estimate), **{**given, **lists})
         print(found)
         if self.numbers is not None:
             found.save(self.numbers)

@@ -12,16 +12,8 @@ from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
 from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config import is_of_replay, load_config, preset, prior_map_of
+from sixthsense.config import parts as part_kinds
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import (
-    ESTIMATORS,
-    EXPLORERS,
-    EXTRACTORS,
-    FRONT_ENDS,
-    PLACE_SEARCHES,
-    PLANNERS,
-    import_named,
-)
 from sixthsense.config.tree import task_of
 
 
@@ -44,17 +36,17 @@ class Campaign(Options):
     """Seeds from FIRST to LAST, LAST excluded; several ranges and single seeds may be given."""
     preset: Annotated[tuple[str, ...], Arg("NAME ...")] = ()
     """Presets to compare."""
-    estimator: Annotated[tuple[Annotated[str, ESTIMATORS], ...], Arg("NAME ...")] = ()
+    estimator: Annotated[tuple[Annotated[str, part_kinds.ESTIMATORS], ...], Arg("NAME ...")] = ()
     """Estimators to compare."""
-    front_end: Annotated[tuple[Annotated[str, FRONT_ENDS], ...], Arg("NAME ...")] = ()
+    front_end: Annotated[tuple[Annotated[str, part_kinds.FRONT_ENDS], ...], Arg("NAME ...")] = ()
     """Front ends to compare."""
-    extractor: Annotated[tuple[Annotated[str, EXTRACTORS], ...], Arg("NAME ...")] = ()
+    extractor: Annotated[tuple[Annotated[str, part_kinds.EXTRACTORS], ...], Arg("NAME ...")] = ()
     """Extractors of features to compare."""
-    place_search: Annotated[tuple[Annotated[str, PLACE_SEARCHES], ...], Arg("NAME ...")] = ()
+    place_search: Annotated[tuple[Annotated[str, part_kinds.PLACE_SEARCHES], ...], Arg("NAME ...")] = ()
     """Place searches to compare."""
-    planner: Annotated[tuple[Annotated[str, PLANNERS], ...], Arg("NAME ...")] = ()
+    planner: Annotated[tuple[Annotated[str, part_kinds.PLANNERS], ...], Arg("NAME ...")] = ()
     """Path planners to compare."""
-    explorer: Annotated[tuple[Annotated[str, EXPLORERS], ...], Arg("NAME ...")] = ()
+    explorer: Annotated[tuple[Annotated[str, part_kinds.EXPLORERS], ...], Arg("NAME ...")] = ()
     """Explorers to compare."""
     config: Path | None = None
     """TOML file, partial or complete, that overrides each preset."""
@@ -77,7 +69,7 @@ class Campaign(Options):
 
         file = _read_config_table(self.config, self.preset)
         if self.parts is not None:
-            import_named(file, self.parts)
+            part_kinds.import_named(file, self.parts)
         axes = {axis: (file[axis],) for axis in AXES if axis in file}
         axes |= {axis: values for axis in AXES if (values := getattr(self, axis))}
         seeds = (seed for text in self.seeds for seed in seed_range(text))

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from sixthsense.cli import DONE, EXIT_CODES, EXIT_CODES_OF_MAPS, FAILED
 from sixthsense.cli.options import Arg, Options, Parser, Table, as_options, parse
 from sixthsense.cli.options import with_options as with_options
-from sixthsense.config import Config, load_config, merge, preset, prior_map_of
+from sixthsense.config import Config, load_config, preset, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
 from sixthsense.config.parts import FRONT_ENDS, import_named
 from sixthsense.config.section import shown
-from sixthsense.config.tree import implied, with_checked_parts
+from sixthsense.config.tree import applied, with_checked_parts
 from sixthsense.loop.interrupt import is_command_ended
 from sixthsense.simulation.scene_files import scene_file
 from sixthsense.view import VIEW_TARGETS, is_view_target
@@ -108,16 +108,20 @@ def read_command(command: type[Options], parser: Parser, words: Sequence[str]) -
     """
     given, flags = parse(parser, words)
     import_named({**flags, **given}, given.get("parts"))
-    if not issubclass(command, WithSettings):
-        return command(**given), flags
-    command(**given)  # its own options are checked before files are read
-    settings = _settings(command, given, flags)
+    own = command(**given)
+    if not isinstance(own, WithSettings):
+        return own, flags
+    from sixthsense.api import check_made  # here, since the help need not wait for it
+
+    settings = _settings(own, given, flags)
     if "parts" in given:
         import_named(dict(settings), given["parts"])
-    return command(**given, settings=with_checked_parts(settings)), flags
+    settings = with_checked_parts(settings)
+    check_made(settings)
+    return own.replaced(settings=settings), flags
 
 
-def _settings(command: type[WithSettings], given: Table, flags: Table) -> Config:
+def _settings(command: WithSettings, given: Table, flags: Table) -> Config:
     """The configuration from preset, file and flags."""
     start = command.start(given)
     settings = start if isinstance(start, Config) and "preset" not in flags else preset(flags.get("preset", start))
@@ -127,11 +131,8 @@ def _settings(command: type[WithSettings], given: Table, flags: Table) -> Config
             found = f"found {shown(flags['preset'])} with {given['config']}, which names {shown(named)}"
             raise InputError("preset", found, "one of the two")
         settings = load_config(given["config"], settings if named is None else None)
-    flags = {name: value for name, value in flags.items() if name != "preset"}
-    merged = merge(settings, flags)
-    for note in implied(settings, flags, merged):
-        announce(f"note: {note}")
-    return merged
+    fields = {name: value for name, value in flags.items() if name != "preset"}
+    return applied(settings, fields, lambda note: announce(f"note: {note}"))
 
 
 def run_folder(
@@ -197,45 +198,29 @@ def show_end(run: Run, options: Common) -> int:
     The places that an exploration has left unseen are listed with the metrics. If it is strict, a run whose map is
     doubtful or broken has an exit code of its own where it would have ended well.
     """
+    lines, left, front_end = dict(run.summary), run.trace.left, run.trace.config.front_end
     if options.verbose:
-        print(run.metrics)
-        for place in run.trace.left:
-            print(f"left unseen: {_described(place)}")
-        print()
-    for label, text in (run.summary | dict(_unknown(run)) | dict(_left(run)) | dict(_files(run))).items():
-        print(f"{label:12} {text}")
-    print(f"written to {run.folder}/")
+        print(run.metrics, *(f"left unseen: {_described(place)}" for place in left), "", sep="\n")
+    if front_end not in FRONT_ENDS.shipped:
+        fitted = "the verdict is fitted to shipped front ends, not to"
+        lines["not judged"] = f"{fitted} {front_end}: a return may count twice"
+    if left:
+        places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
+        lines["left unseen"] = f"{places}, the largest {left[0].reason}{_behind(left[0])}; --verbose lists them"
+    if run.folder is not None:
+        files = [run.folder / name for name in ("map.png", "map.yaml") if (run.folder / name).exists()]
+        lines |= {"files": ", ".join(map(str, files))} if files else {}
+        lines["report"] = f"sixthsense report {shlex.quote(str(run.folder))} writes figures/report.html"
+    print(*(f"{label:12} {text}" for label, text in lines.items()), f"written to {run.folder}/", sep="\n")
     code = EXIT_CODES.get(run.outcome, FAILED)
     if options.strict and code == DONE and run.verdict is not None:
         return EXIT_CODES_OF_MAPS[run.verdict.level]
     return code
 
 
-def _unknown(run: Run) -> Iterator[tuple[str, str]]:
-    """What the verdict does not know of a front end that is not shipped."""
-    name = run.trace.config.front_end
-    if name not in FRONT_ENDS.shipped:
-        yield "not judged", f"the verdict is fitted to shipped front ends, not to {name}: a return may count twice"
-
-
-def _left(run: Run) -> Iterator[tuple[str, str]]:
-    """How much an exploration has left unseen."""
-    if left := run.trace.left:
-        places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
-        gap = "" if left[0].gap_m is None else f" behind a gap of {left[0].gap_m:.2f} m"
-        yield "left unseen", f"{places}, the largest {left[0].reason}{gap}; --verbose lists them"
-
-
-def _files(run: Run) -> Iterator[tuple[str, str]]:
-    """Where the map and the report of a run are."""
-    if run.folder is None:
-        return
-    found = [name for name in ("map.png", "map.yaml") if (run.folder / name).exists()]
-    if found:
-        yield "files", ", ".join(str(run.folder / name) for name in found)
-    yield "report", f"sixthsense report {shlex.quote(str(run.folder))} writes figures/report.html"
+def _behind(place: UnseenPlace) -> str:
+    return "" if place.gap_m is None else f" behind a gap of {place.gap_m:.2f} m"
 
 
 def _described(place: UnseenPlace) -> str:
-    gap = "" if place.gap_m is None else f" behind a gap of {place.gap_m:.2f} m"
-    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m², {place.reason}{gap}"
+    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m², {place.reason}{_behind(place)}"

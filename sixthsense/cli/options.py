@@ -6,6 +6,7 @@ The parser converts texts; the models check values, so that flags and files give
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
 import typing
 from collections.abc import Callable, Iterable, Sequence
@@ -24,7 +25,7 @@ Table = dict[str, Any]
 
 _POINTS = {2: "X Y", 3: "X Y THETA", 4: "X0 Y0 X1 Y1"}
 _METAVARS = {int: "N", float: "X", str: "NAME", Path: "FILE"}
-_SWITCHED = {"true": True, "false": False}
+_SWITCHED = ("true", "false")
 
 
 class Arg(NamedTuple):
@@ -62,8 +63,7 @@ class Option(argparse.Action):
         """Of a `field` of the model `owner`, whose `value` is the default that the help shows."""
         super().__init__(option_strings, default=argparse.SUPPRESS, **rest)
         self.field, self.owner, self.value = field, owner, value
-        self.kind, notes = kind_of(field)
-        self.arg = next((note for note in notes if isinstance(note, Arg)), Arg(""))
+        self.kind, self.arg = _kind_of(field)
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, flag: str | None = None
@@ -78,11 +78,9 @@ class Option(argparse.Action):
     @property
     def usage(self) -> str:
         """Flag and value in the help."""
-        value = self.metavar if isinstance(self.metavar, str) else " ".join(self.metavar or ())
+        value = self.arg.metavar or " ".join([self.metavar] if isinstance(self.metavar, str) else self.metavar or ())
         if self.kind is bool:
             value = "true|false" if self.value is True else ""
-        elif self.arg.metavar:
-            value = self.arg.metavar
         return " ".join(filter(None, [*self.option_strings[:1], value]))
 
 
@@ -93,6 +91,11 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**{**options, "add_help": False, "allow_abbrev": False})
         self._negative_number_matcher = re.compile(r"-\.?\d")  # 1e-3, too
 
+    @property
+    def options(self) -> list[Option]:
+        """Those that set a field."""
+        return [action for action in self._actions if isinstance(action, Option)]
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """The models check it."""
 
@@ -101,8 +104,9 @@ class Parser(argparse.ArgumentParser):
         found = re.fullmatch(r"argument (\S+): expected (.*)", message)
         if found is None:
             raise InputError("arguments", message)
-        flag, expected = found[1].split("/")[0], found[2].replace("argument", "value")
-        raise InputError(flag, "found nothing" if "one" in expected else "found too few values", expected)
+        expected = found[2].replace("argument", "value")
+        what = "nothing" if "one" in expected else "too few values"
+        raise InputError(found[1].split("/")[0], f"found {what}", expected)
 
 
 def add_options(parser: argparse.ArgumentParser, command: type[Options]) -> None:
@@ -131,27 +135,25 @@ def _add_model(
 
 
 def _add_option(parser: argparse.ArgumentParser, name: str, field: FieldInfo, owner: type[Section], value: Any) -> None:
-    kind, notes = kind_of(field)
-    arg = next((note for note in notes if isinstance(note, Arg)), Arg(""))
+    kind, arg = _kind_of(field)
     items = _items(kind)
-    is_list = items[-1] is Ellipsis
+    is_list, inner = items[-1] is Ellipsis, _items(items[0])[0]
     metavar = arg.metavar or ("X Y ..." if is_list else _METAVARS.get(kind, _POINTS.get(len(items), "NAME")))
-    inner = _items(items[0])[0]
     options: Table = {"field": field, "owner": owner, "value": value, "choices": choices_of(field) or None}
     options |= {"metavar": metavar, "type": _number if inner in (int, float) else Path if inner is Path else str}
     if arg.is_positional:
         parser.add_argument(name, action=Option, nargs="*" if is_list else "?", **options)
         return
-    flag = f"--{arg.flag or flag_name(name)}"
-    flags, options["dest"] = [flag], name
+    flags, options["dest"] = [f"--{arg.flag or flag_name(name)}"], name
     if kind is bool:
-        flags += [re.sub(r"^(.*\.|--)", r"\1no-", flag)]
+        flags += [re.sub(r"^(.*\.|--)", r"\1no-", flags[0])]
         options["nargs"] = 0
     elif arg.without is not None:
         options |= {"nargs": "?", "const": arg.without}
-    elif is_list or len(items) > 1:
-        options["nargs"] = "+" if is_list else len(items)
-        options["metavar"] = metavar if is_list else tuple(metavar.split())
+    elif is_list:
+        options["nargs"] = "+"
+    elif len(items) > 1:
+        options |= {"nargs": len(items), "metavar": tuple(metavar.split())}
     parser.add_argument(*flags, action=Option, **options)
 
 
@@ -160,70 +162,56 @@ def parse(parser: Parser, args: Sequence[str]) -> tuple[Table, Table]:
 
     Raises InputError for an unknown option, with the nearest one, and for arguments too many or too few.
     """
-    words, of_parts = _split(parser, args)
+    words = _words(parser, args)
+    for flag in dict.fromkeys(word.partition("=")[0] for word in words if is_of_part(word)):
+        parser.add_argument(flag, dest=flag[2:].replace("-", "_"), default=argparse.SUPPRESS, nargs="?", const="true")
     namespace, rest = parser.parse_known_intermixed_args(words)
-    options = {option.dest: option for option in parser._actions if isinstance(option, Option)}
     if rest:
-        raise _too_many(rest[0], vars(namespace), options)
+        raise _too_many(rest[0], vars(namespace), parser.options)
+    own = {option.dest for option in parser.options if issubclass(option.owner, Options)}
     given: Table = {}
     table: Table = {}
-    for name, value in [*vars(namespace).items(), *of_parts]:
-        option = options.get(name)
-        if option is not None and option.owner is not Config and issubclass(option.owner, Options):
-            given[name] = value
-            continue
-        *sections, last = name.split(".")
-        target = table
+    for name, value in vars(namespace).items():
+        *sections, last = [name] if name in own else name.split(".")
+        target = given if name in own else table
         for section in sections:
             target = target.setdefault(section, {})
         target[last] = value
     return given, table
 
 
-def _split(parser: Parser, args: Sequence[str]) -> tuple[list[str], list[tuple[str, Any]]]:
-    """The words that argparse reads, and the options of users' parts, such as `--estimator-options.gain 0.9`.
-
-    A switch with a value, `--guard=false` or `--guard false`, is replaced by the flag of that value.
-    """
-    switches = {o.option_strings[0]: o for o in parser._actions if isinstance(o, Option) and o.kind is bool}
-    words, of_parts, queue = list[str](), list[tuple[str, Any]](), list(args)
+def _words(parser: Parser, args: Sequence[str]) -> list[str]:
+    """The words that argparse reads: a switch with a value, `--guard=false` or `--guard false`, is the flag of that."""
+    switches = {option.option_strings[0]: option.option_strings for option in parser.options if option.kind is bool}
+    words, queue = list[str](), list(args)
     while queue:
-        word = queue.pop(0)
-        flag, equals, text = word.partition("=")
+        flag, equals, text = queue.pop(0).partition("=")
         flag = flag_name(flag) if flag.startswith("--") else flag
-        if is_of_part(flag):
-            if not equals:
-                text = queue.pop(0) if queue and not queue[0].startswith("--") else "true"
-            values: list[Any] = [text]
-            while not equals and queue and isinstance(_number(queue[0]), int | float):
-                values.append(queue.pop(0))
-            of_parts.append((flag.removeprefix("--").replace("-", "_"), values if len(values) > 1 else text))
-        elif flag in switches and (equals or (queue and queue[0].lower() in _SWITCHED)):
+        if flag in switches and (equals or (queue and queue[0].lower() in _SWITCHED)):
             text = text if equals else queue.pop(0)
             if text.lower() not in _SWITCHED:
                 raise InputError(flag, f"found {shown(text)}", "true or false")
-            words.append(switches[flag].option_strings[0 if _SWITCHED[text.lower()] else 1])
+            words.append(switches[flag][_SWITCHED.index(text.lower())])
         else:
             words.append(f"{flag}{equals}{text}")
-    return words, of_parts
+    return words
 
 
-def _too_many(word: str, given: Table, options: dict[str, Option]) -> InputError:
+def _too_many(word: str, given: Table, options: Sequence[Option]) -> InputError:
     """The error for a word that no option takes."""
     if not word.startswith("-"):
-        argument = next((option.dest for option in options.values() if not option.option_strings), None)
-        if argument is None:
-            return InputError("arguments", f"found {shown(word)}", "options alone")
-        return InputError(argument, f"found {shown(given.get(argument))} and {shown(word)}", "one")
+        for option in options:
+            if not option.option_strings:
+                return InputError(option.dest, f"found {shown(given.get(option.dest))} and {shown(word)}", "one")
+        return InputError("arguments", f"found {shown(word)}", "options alone")
     flag = word.partition("=")[0]
-    flags = [option.option_strings[0] for option in options.values() if option.option_strings]
     path, _, name = flag.rpartition(".")
+    flags = [option.option_strings[0] for option in options if option.option_strings]
     within = [known for known in flags if known.startswith(f"{flag}.")]
     siblings = [known for known in flags if known.rpartition(".")[0] == path]
-    namesakes = [known for known in flags if "." in known and known.rpartition(".")[2] == name.lstrip("-")]
+    namesakes = [known for known in flags if known.endswith(f".{name.lstrip('-')}")]
     near = "" if within else " or ".join(namesakes) or nearest(flag, siblings or flags)
-    allowed = within or siblings or [known for known in flags if "." not in known]
-    return InputError(shown_name(flag), "no such option", ", ".join(allowed), near)
+    return InputError(shown_name(flag), "no such option", ", ".join(within or siblings), near)
 
 
 def is_of_part(word: str) -> bool:
@@ -241,24 +229,27 @@ def as_options(text: str) -> str:
     return re.sub(r"`([a-z_.]+)`", lambda found: f"--{flag_name(found[1])}", text)
 
 
-def with_options(error: InputError, parser: argparse.ArgumentParser) -> str:
+def with_options(error: InputError, parser: Parser) -> str:
     """What an error says, with the option in place of the field where that is one of the parser's."""
     name, *rest = re.split(r"(?=[, ])", error.where, maxsplit=1)
-    names = [option.dest for option in parser._actions if isinstance(option, Option) and option.option_strings]
-    is_option = any(f"{known}.".startswith(f"{name}.") for known in names) or is_of_part(f"--{flag_name(name)}.")
-    return as_options(str(error.at("".join([f"--{flag_name(name)}", *rest]) if is_option else error.where)))
+    names = [option.dest for option in parser.options if option.option_strings]
+    if any(f"{known}.".startswith(f"{name}.") for known in names) or is_of_part(f"--{flag_name(name)}."):
+        error = error.at("".join([f"--{flag_name(name)}", *rest]))
+    return as_options(str(error))
 
 
 def _number(text: str) -> Any:
     """A text as a number or None; a text that is neither stays, so that the model reports it."""
-    if text == "None":
-        return None
     for kind in (int, float):
-        try:
+        with contextlib.suppress(ValueError):
             return kind(text)
-        except ValueError:
-            continue
-    return text
+    return None if text == "None" else text
+
+
+def _kind_of(field: FieldInfo) -> tuple[Any, Arg]:
+    """The type of a field's values, and how the command line shows them."""
+    kind, notes = kind_of(field)
+    return kind, next((note for note in notes if isinstance(note, Arg)), Arg(""))
 
 
 def _items(kind: Any) -> tuple[Any, ...]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 import sys
+import tomllib
 from collections.abc import Iterator, Mapping
 from functools import reduce
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sixthsense.config.errors import InputError, nearest, reason_of
@@ -23,12 +26,14 @@ class Parts:
     other part is named by its import path, `MODULE:NAME`.
     """
 
-    def __init__(self, kind: str, seam: str, shipped: Mapping[str, str], **sections: str) -> None:
+    def __init__(
+        self, kind: str, seam: str, shipped: Mapping[str, str], sections: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         """Hold the import path of each of the `shipped` names, and that of the protocol, the `seam`.
 
         `sections` are those of the configuration that hold the options of shipped ones, by name.
         """
-        self.kind, self.seam, self.shipped, self.sections = kind, seam, dict(shipped), sections
+        self.kind, self.seam, self.shipped, self.sections = kind, seam, shipped, sections
         self.group = f"sixthsense.{kind}{'es' if kind.endswith('h') else 's'}"
         """of the entry points in which packages register theirs"""
 
@@ -57,13 +62,10 @@ class Parts:
         if not callable(part):
             return part
         path = f"{getattr(part, '__module__', '')}:{getattr(part, '__qualname__', '')}"
-        try:
-            is_found = _PATH.fullmatch(path) is not None and _imported(path) is part
-        except (ImportError, AttributeError):
-            is_found = False
-        if not is_found:
-            raise InputError(self.kind, f"found {path}", "a class or function at the top level of a module")
-        return path
+        with contextlib.suppress(ImportError, AttributeError):
+            if _PATH.fullmatch(path) and _imported(path) is part:
+                return path
+        raise InputError(self.kind, f"found {path}", "a class or function at the top level of a module")
 
     def checked(self, part: Any) -> Any:
         """The name of a part, which may be given as a class or function; InputError for one that cannot be a name."""
@@ -78,10 +80,9 @@ class Parts:
 
         return no_info_before_validator_function(self.checked, handler(source))
 
-    def protocol(self) -> type:
-        """The class that says what a part of this kind has."""
-        found: type = _imported(self.seam)
-        return found
+    def members(self) -> tuple[str, ...]:
+        """The names of what a part of this kind has."""
+        return tuple(name for name in vars(_imported(self.seam)) if not name.startswith("_"))
 
     def load(self, name: str, folder: str | Path | None = None) -> Any:
         """The class or function that a name stands for; InputError for one that is not known or cannot be imported.
@@ -95,11 +96,8 @@ class Parts:
             part = _imported(path, folder)
         except Exception as error:  # a module of a user's may raise anything
             reason = f"{type(error).__name__}: {reason_of(error)}"
-            found = f"found {name}, which cannot be imported ({reason})"
-            allowed = (
-                f"a name in an installed module, or in a folder that is searched: `{self.kind}` {name}, `parts` DIR"
-            )
-            raise InputError(self.kind, found, allowed) from error
+            allowed = f"a name in an installed module, or in one of a folder: `{self.kind}` {name}, `parts` DIR"
+            raise InputError(self.kind, f"found {name}, which cannot be imported ({reason})", allowed) from error
         if folder is not None:
             searched[self.kind, name] = str(folder)
         if not callable(part):
@@ -123,58 +121,10 @@ def _imported(path: str, folder: str | Path | None = None) -> Any:
         sys.path = before
 
 
-_SLAM, _NAVIGATION = "sixthsense.slam", "sixthsense.navigation"
-
-ESTIMATORS = Parts(
-    "estimator",
-    f"{_SLAM}.estimators.base:Estimator",
-    {
-        "ekf": f"{_SLAM}.estimators.ekf:EKF",
-        "ekf-fej": f"{_SLAM}.estimators.ekf_variants:FirstEstimatesEKF",
-        "ekf-oc": f"{_SLAM}.estimators.ekf_variants:ObservabilityConstrainedEKF",
-        "ekf-invariant": f"{_SLAM}.estimators.ekf_variants:InvariantEKF",
-        "isam2": f"{_SLAM}.estimators.isam2:ISAM2",
-    },
-    isam2="isam2",
-)
-PLANNERS = Parts(
-    "planner",
-    f"{_NAVIGATION}.planners.base:Planner",
-    {
-        "astar": f"{_NAVIGATION}.planners.astar:AStar",
-        "rrtstar": f"{_NAVIGATION}.planners.rrtstar:RRTStar",
-    },
-    rrtstar="rrtstar",
-)
-FRONT_ENDS = Parts(
-    "front_end",
-    f"{_SLAM}.front_end:FrontEnd",
-    {
-        "landmarks": f"{_SLAM}.landmark_front_end:landmark_front_end",
-        "scan-matching": f"{_SLAM}.scans.front_end:scan_front_end",
-    },
-)
-EXTRACTORS = Parts(
-    "extractor",
-    f"{_SLAM}.features.extractor:Extractor",
-    {"lines": f"{_SLAM}.features.extraction:LineExtractor"},
-    lines="features",
-)
-PLACE_SEARCHES = Parts(
-    "place_search",
-    f"{_SLAM}.scans.place_search:PlaceSearch",
-    {"branch-and-bound": f"{_SLAM}.scans.place_search:BranchAndBound"},
-)
-EXPLORERS = Parts(
-    "explorer",
-    f"{_NAVIGATION}.explorer:Explorer",
-    {
-        "frontier": f"{_NAVIGATION}.explorer:FrontierExplorer",
-        "random": f"{_NAVIGATION}.explorer:RandomExplorer",
-    },
-)
-KINDS = (ESTIMATORS, FRONT_ENDS, EXTRACTORS, PLACE_SEARCHES, PLANNERS, EXPLORERS)
+_TABLES = tomllib.loads(Path(__file__).with_name("parts.toml").read_text("utf-8"))
+KINDS = tuple(Parts(kind, **table) for kind, table in _TABLES.items())
 """all kinds of parts, in the order of their use"""
+ESTIMATORS, FRONT_ENDS, EXTRACTORS, PLACE_SEARCHES, PLANNERS, EXPLORERS = KINDS
 
 searched: dict[tuple[str, str], str] = {}
 """folders that were searched for parts, by kind and name: other processes import the same ones by `import_again`"""
@@ -186,8 +136,8 @@ def import_named(given: Mapping[str, Any], folder: str | Path | None = None) -> 
     Their modules may lie in `folder`, by default the working folder: for fields that the user has stated.
     """
     for parts in KINDS:
-        names = given.get(parts.kind, ())
-        for name in (names,) if isinstance(names, str) else names if isinstance(names, list | tuple) else ():
+        names = given.get(parts.kind)
+        for name in names if isinstance(names, list | tuple) else (names,):
             if isinstance(name, str) and _PATH.fullmatch(name):
                 parts.load(name, Path(folder or ".").absolute())
 

@@ -127,19 +127,14 @@ def as_table(section: Section) -> dict[str, Any]:
 
 
 _ALLOWED = {
-    "float_type": "a finite number",
-    "float_parsing": "a finite number",
-    "int_parsing": "a whole number",
-    "bool_parsing": "true or false",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "bool_type": "true or false",
-    "string_type": "a text",
-    "dict_type": "a table",
-    "model_type": "a table",
-    "dataclass_type": "a table",
+    "float": "a finite number",
+    "finite": "a finite number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "string": "a text",
+    **dict.fromkeys(("dict", "model", "dataclass"), "a table"),
 }
-"""what is allowed in place of a value, by pydantic's type of error"""
+"""what is allowed in place of a value, by the first word of pydantic's type of error"""
 
 
 def input_error(error: ValidationError, fields: Mapping[str, FieldInfo] = types.MappingProxyType({})) -> InputError:
@@ -154,7 +149,9 @@ def input_error(error: ValidationError, fields: Mapping[str, FieldInfo] = types.
         return InputError(where, "no such field", ", ".join(fields), nearest(names[-1], fields))
     field = fields.get(names[0]) if names else None
     near = nearest(first["input"], () if field is None else choices_of(field))
-    return InputError(where, found, _ALLOWED.get(first["type"]) or allowed(field) or first["msg"], near)
+    return InputError(
+        where, found, _ALLOWED.get(first["type"].partition("_")[0]) or allowed(field) or first["msg"], near
+    )
 
 
 def checked(name: str, hint: Any, value: Any) -> Any:

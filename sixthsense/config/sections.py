@@ -65,14 +65,21 @@ class WorldConfig(Section):
 
 
 class WheelsConfig(Section):
-    """Sigmas of the wheels' parameters where these are estimated, about the assumed values; 0: exactly known."""
+    """Errors of wheels that stay to one side, beside their noise: sigmas grow with the way, not with its root.
 
-    latency_sigma_s: Noise = 0.0
-    """Sigma of the age of odometry at its stamp."""
-    jitter_sigma_s: Noise = 0.0
-    """Sigma of the age's variation, from one change of the velocity to the next."""
-    curve_loss_sigma_m_per_rad: Noise = 0.0
-    """Sigma of the distance that curves are shorter than reported, per radian turned."""
+    Scan matching adds them to the motion since the last keyframe, unless a log states its covariance.
+    """
+
+    position_m: Noise = 0.01
+    """Sigma of position, whatever the way."""
+    position_per_m: Noise = 0.05
+    """Sigma of position per metre."""
+    heading_rad: Noise = 0.005
+    """Sigma of heading, whatever the way."""
+    heading_per_rad: Noise = 0.05
+    """Sigma of heading per radian turned."""
+    heading_per_m: Noise = 0.02
+    """Sigma of heading per metre, rad."""
 
 
 class AssumedConfig(Section):

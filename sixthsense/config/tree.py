@@ -25,7 +25,7 @@ from sixthsense.config.parts import (
     Parts,
     options_class,
 )
-from sixthsense.config.section import Count, Section, input_error, shown
+from sixthsense.config.section import Count, Section, input_error, merge, shown
 from sixthsense.config.sections import (
     AssociationConfig,
     AssumedConfig,
@@ -78,7 +78,7 @@ class Config(Section):
     """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
     prior is in assumed.wheels."""
     calibrate_sensor: bool = False
-    """Estimate the mount and lens of a camera with the pose. For ekf-invariant and isam2, with logs of observations
+    """Estimate the lens of a camera with the pose. For ekf-invariant and isam2, with logs of observations
     that name their landmark; `core/sensor.py` has the prior."""
     no_odometry: bool = False
     """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
@@ -147,15 +147,14 @@ class Config(Section):
         """
         table = dict(table)
         for parts in KINDS:
-            options = f"{parts.kind}_options"
-            is_same = parts.kind not in table or parts.name_of(table[parts.kind]) == getattr(self, parts.kind)
-            if not is_same and options not in table and getattr(self, options):
-                table[options] = {}  # those were of another part
-            elif is_same and isinstance(table.get(options), Mapping):
+            options, part = f"{parts.kind}_options", getattr(self, parts.kind)
+            if parts.name_of(table.get(parts.kind, part)) != part:
+                table.setdefault(options, {})  # those were of another part
+            elif isinstance(table.get(options), Mapping):
                 table[options] = {**getattr(self, options), **table[options]}
         for name, other in (("goal", "tour"), ("tour", "goal")):
-            if table.get(name) is not None and other not in table:
-                table[other] = None
+            if table.get(name) is not None:
+                table.setdefault(other, None)
         if table.get("no_odometry") is True:
             table = {"front_end": "scan-matching", **table}
         estimator, front_end = table.get("estimator"), table.get("front_end")
@@ -192,21 +191,23 @@ class Part(NamedTuple):
     """the class or function that makes it"""
     options: Any = None
     """an object of its `Options`"""
-    is_shipped: bool = True
     members: tuple[str, ...] = ()
-    """what its protocol has, and it must have"""
+    """what its protocol has, and it must have; empty for a shipped one"""
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether it is no user's own."""
+        return not self.members
 
     def make(self, *args: Any) -> Any:
         """Make it; its options are the last argument, if it has any. Raises PartError for one that cannot be made."""
         options = () if options_class(self.factory) is None else (self.options,)
-        if self.is_shipped:
-            return self.factory(*args, *options)
         try:
             made = self.factory(*args, *options)
             missing = [name for name in self.members if not hasattr(made, name)]
-        except InputError:
-            raise
         except Exception as error:
+            if not self.members or isinstance(error, InputError):
+                raise
             found = f"cannot be made, it raised {type(error).__name__} ({reason_of(error)})"
             raise PartError(self.name, found) from error
         if missing:
@@ -267,49 +268,35 @@ def code_files(part: Any) -> set[str]:
 def part_of(config: Config, parts: Parts) -> Part:
     """The configured part of a kind; InputError for one that cannot be imported, and for options that it has not."""
     name, given = getattr(config, parts.kind), getattr(config, f"{parts.kind}_options")
-    factory, section = parts.load(name), parts.sections.get(name)
+    label, factory, section = f"{parts.kind} {name}", parts.load(name), parts.sections.get(name)
     if section is None:
         options = part_options(parts.kind, factory, given)
-        is_shipped = name in parts.shipped
-        members = () if is_shipped else tuple(one for one in vars(parts.protocol()) if not one.startswith("_"))
-        return Part(f"{parts.kind} {name}", factory, options, is_shipped, members)
+        return Part(label, factory, options, () if name in parts.shipped else parts.members())
     if given:
         raise InputError(f"{parts.kind}_options", f"found {', '.join(given)} for {name}", f"the section {section}")
-    return Part(f"{parts.kind} {name}", factory, getattr(config, section))
+    return Part(label, factory, getattr(config, section))
 
 
 def with_checked_parts(config: Config) -> Config:
     """The configuration with the options of parts as these take them: texts of a command line become numbers.
 
-    Raises what `check_parts` raises.
+    Raises InputError for a part that cannot be imported, and for options that it does not have.
     """
-    check_parts(config)
     for parts in KINDS:
-        if given := getattr(config, f"{parts.kind}_options"):
+        if (given := getattr(config, f"{parts.kind}_options")) or getattr(config, parts.kind) not in parts.shipped:
             options = part_of(config, parts).options
             config = config.replaced(**{f"{parts.kind}_options": {name: getattr(options, name) for name in given}})
     return config
 
 
-def implied(before: Config, given: Mapping[str, Any], after: Config) -> Iterator[str]:
-    """A line for each part that follows from the `given` fields and is not among them."""
+def applied(base: Config, given: Mapping[str, Any], say: Callable[[str], object]) -> Config:
+    """`base` with the `given` fields; `say` gets a line for each part that follows from them and is not among them."""
+    found = merge(base, given)
     for name in ("estimator", "front_end"):
-        old, new = getattr(before, name), getattr(after, name)
+        old, new = getattr(base, name), getattr(found, name)
         if name not in given and new != old:
-            yield f"{name} is {new} in place of {old}, which does not go with what is given"
-
-
-def check_parts(config: Config) -> None:
-    """Raise InputError for a part that cannot be imported, and for options that it does not have."""
-    for parts in KINDS:
-        if getattr(config, parts.kind) not in parts.shipped or getattr(config, f"{parts.kind}_options"):
-            part_of(config, parts)
-
-
-def default_options(factory: Any) -> Any:
-    """An object of a part's `Options` without arguments; None of a part without."""
-    cls = options_class(factory)
-    return None if cls is None else cls()
+            say(f"{name} is {new} in place of {old}, which does not go with what is given")
+    return found
 
 
 def make_part(parts: Parts, part: Any, *args: Any, options: Any = None) -> Any:
@@ -318,7 +305,8 @@ def make_part(parts: Parts, part: Any, *args: Any, options: Any = None) -> Any:
     Raises InputError that lists the known names for any other.
     """
     factory = parts.load(part) if isinstance(part, str) else part
-    return Part(parts.kind, factory, options or default_options(factory)).make(*args)
+    cls = options_class(factory)
+    return Part(parts.kind, factory, options or (cls and cls())).make(*args)
 
 
 def part_options(kind: str, factory: Any, given: Mapping[str, Any]) -> Any:

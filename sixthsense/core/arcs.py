@@ -7,18 +7,13 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import Triple, wrapped
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _sinc(angle: float) -> float:
     return 1.0 - angle * angle / 6.0 if abs(angle) < 1e-4 else math.sin(angle) / angle
-
-
-def arc(motion: Pose) -> tuple[float, float]:
-    """Length (m, signed) and turn (rad) of the circular arc that ends at the pose `motion`."""
-    return arc_length(motion.x, motion.y, motion.theta), motion.theta
 
 
 @numba.njit(cache=True, error_model="numpy")

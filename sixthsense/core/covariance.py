@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -21,16 +20,6 @@ def chi_square_quantile(probability: float, dof: Any) -> Any:
 
 SIGNIFICANT = 3.0
 """sigmas, beyond which a deviation is not taken for chance"""
-
-
-def mean_square_limit(count: float, sigmas: float = SIGNIFICANT) -> float:
-    """What the mean of `count` squares of standard normals exceeds as seldom as a normal exceeds `sigmas`.
-
-    For negative `sigmas` it is what the mean falls below as seldom. Wilson and Hilferty, "The distribution of
-    chi-square", PNAS 17, 1931.
-    """
-    var = 2 / (9 * count)
-    return float(max(0.0, 1.0 - var + sigmas * math.sqrt(var)) ** 3)
 
 
 def difference_covariance(joint: Array, first: int, second: int) -> Array:
@@ -76,5 +65,4 @@ def covariance_fault(cov: Array, lowest: float) -> str:
 def landmark_covariances(joint: Array) -> Array:
     """(M, 2, 2) covariances of the landmarks of a joint covariance (3 + 2M, 3 + 2M) that has the pose first."""
     count = (len(joint) - 3) // 2
-    each = np.arange(count)
-    return np.asarray(joint[3:, 3:].reshape(count, 2, count, 2)[each, :, each, :])
+    return np.asarray(np.einsum("kikj->kij", joint[3:, 3:].reshape(count, 2, count, 2)).copy())

@@ -4,47 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sixthsense.core.se2 import Array, compose, inverse, wrapped
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import shown
+from sixthsense.core.se2 import Array as Array
+from sixthsense.core.se2 import compose, inverse, wrapped
 
-__all__ = ["Array", "Pose", "interpolated", "point_segment_distance", "rotation", "wrap_angle"]
+Angle = TypeVar("Angle", float, Array)
+Mapped = TypeVar("Mapped", "Pose", Array)
 
 _set = object.__setattr__  # of a frozen value
 
 
-@overload
-def wrap_angle(angle: float) -> float: ...
-@overload
-def wrap_angle(angle: Array) -> Array: ...
-def wrap_angle(angle: float | Array) -> float | Array:
+def wrap_angle(angle: Angle) -> Angle:
     """Wrap an angle, or an array of them, into [-pi, pi); an angle in that interval is returned bit for bit."""
-    if isinstance(angle, np.ndarray):
-        is_inside = (angle >= -math.pi) & (angle < math.pi)
-        if is_inside.all():
-            return angle.copy()
-        inside = (angle + math.pi) % (2.0 * math.pi) - math.pi
-        # The modulo of a tiny negative number rounds up to 2 pi itself.
-        inside = np.where(inside >= math.pi, -math.pi, inside)
-        return np.where(is_inside, angle, inside)
-    return float(wrapped(float(angle)))
+    if not isinstance(angle, np.ndarray):
+        return float(wrapped(float(angle)))
+    inside = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    # The modulo of a tiny negative number rounds up to 2 pi itself.
+    inside = np.where(inside >= math.pi, -math.pi, inside)
+    return np.where((angle >= -math.pi) & (angle < math.pi), angle, inside)
 
 
 def rotation(theta: float) -> Array:
     """(2, 2) rotation matrix of the angle `theta`."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s], [s, c]])
-
-
-def _no_numbers(*values: object) -> ValueError:
-    """The error of a pose of something else than three numbers."""
-    from sixthsense.config.errors import InputError  # here, since poses are made below the configuration
-    from sixthsense.config.section import shown
-
-    found = ", ".join(shown(value) for value in values)
-    return InputError("pose", f"found {found}", "three numbers x, y, theta; of an array, Pose.from_array")
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -66,7 +54,9 @@ class Pose:
         try:
             angle, x, y = float(theta), float(x), float(y)
         except (TypeError, ValueError):
-            raise _no_numbers(x, y, theta) from None
+            found = ", ".join(map(shown, (x, y, theta)))
+            allowed = "three numbers x, y, theta; of an array, Pose.from_array"
+            raise InputError("pose", f"found {found}", allowed) from None
         _set(self, "x", x)
         _set(self, "y", y)
         _set(self, "theta", angle if -math.pi <= angle < math.pi else wrap_angle(angle))
@@ -105,11 +95,7 @@ class Pose:
         c, s = math.cos(self.theta), math.sin(self.theta)
         return np.array([[c, -s, self.y], [s, c, 0.0 - self.x], [0.0, 0.0, 1.0]])  # 0.0 - x, since -0.0 is not 0.0
 
-    @overload
-    def __matmul__(self, other: Pose) -> Pose: ...
-    @overload
-    def __matmul__(self, other: Array) -> Array: ...
-    def __matmul__(self, other: Pose | Array) -> Pose | Array:
+    def __matmul__(self, other: Mapped) -> Mapped:
         if isinstance(other, Pose):
             return Pose(*compose(self.triple(), other.triple()))
         c, s = math.cos(self.theta), math.sin(self.theta)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmark_kernels import predictions
+from sixthsense.core.landmark_kernels import line_ends, predictions
 from sixthsense.core.sensor import Sensor, SensorTerms
 
 LandmarkId = int
@@ -97,15 +97,6 @@ def polar_observation(
     return Observation(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
 
 
-def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
-    """World position of a point observed at z (2,), and its Jacobians by pose (2, 3) and by z (2, 2)."""
-    c, s = math.cos(pose.theta), math.sin(pose.theta)
-    by_z = np.array([[c, -s], [s, c]])
-    offset = by_z @ z
-    by_pose = np.array([[1.0, 0.0, -offset[1]], [0.0, 1.0, offset[0]]])
-    return pose.position + offset, by_pose, by_z
-
-
 def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     """Predict the observations of m landmarks (m, 2), of which those marked in `walls` (m,) are walls.
 
@@ -134,8 +125,7 @@ def line_errors(cov: Array) -> tuple[Array, Array, Array]:
 
 def line_point(line: Array, lever: float) -> Array:
     """(2,) the point of a line (2,), alpha and d, that lies `lever` along it from the foot of its perpendicular, m."""
-    c, s = math.cos(line[0]), math.sin(line[0])
-    return np.array([line[1] * c - lever * s, line[1] * s + lever * c])
+    return np.asarray(line_ends(line, lever, lever)[0])
 
 
 def observed_centre(observation: Observation) -> Array:
@@ -147,7 +137,9 @@ def observed_centre(observation: Observation) -> Array:
 def initialize_landmark(pose: Pose, observation: Observation) -> tuple[Array, Array, Array]:
     """The landmark (2,) of an observation from a pose, world frame; its Jacobians by pose (2, 3) and by z (2, 2)."""
     if not observation.is_wall:
-        return initialize_point(pose, observation.z)
+        by_z = rotation(pose.theta)
+        x, y = offset = by_z @ observation.z
+        return pose.position + offset, np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]), by_z
     alpha = wrap_angle(float(observation.z[0]) + pose.theta)
     c, s = math.cos(alpha), math.sin(alpha)
     lever = -s * pose.x + c * pose.y

@@ -106,6 +106,11 @@ class Scan:
         with np.errstate(invalid="ignore"):
             return _read_only(self.T_robot_laser @ self.points_laser)
 
+    @functools.cached_property
+    def returns_robot(self) -> Array:
+        """(K, 2) metres in the robot's frame: the points of the beams with a return."""
+        return _read_only(self.points_robot[self.is_return])
+
 
 def _read_only(array: Array) -> Array:
     array.flags.writeable = False
@@ -132,12 +137,9 @@ def sweep_times(beams: int, increment: np.float32) -> Array:
 
 def sweep_ns(beams: int, increment: np.float32) -> int:
     """Nanoseconds, at most 0, of the earliest beam relative to the latest one."""
-    if increment == 0.0:
-        return 0
     return round(1e9 * float(sweep_times(beams, increment).min()))
 
 
 def beam_bearings(config: LaserConfig) -> Array:
     """(N,) bearings of the configured beams in the laser's frame, radians."""
-    angle_min, increment = beam_angles(config)
-    return np.asarray(float(angle_min) + float(increment) * np.arange(config.beams))
+    return Scan.from_config(np.ones(config.beams), config).bearings

@@ -2,18 +2,116 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from sixthsense.config import AssumedConfig, Distribution
-from sixthsense.core.arcs import driven
-from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.odometry_kernels import OdometryNoise, increment, motion_covariance, variance_divisor
-from sixthsense.core.se2 import between, move_covariance
-from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms
+from sixthsense.config import AssumedConfig, Distribution, MotionNoise
+from sixthsense.core.arcs import arc_jacobian, arc_length, driven
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.se2 import Triple, between, move_covariance
+from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms, true_motion
+
+_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes
+
+
+def variance_divisor(distribution: Distribution) -> float:
+    """What the square of a noise's scale, sigma or half-width, is divided by to give its variance."""
+    return 1.0 if distribution == "gaussian" else 3.0
+
+
+class Slip(NamedTuple):
+    """Variances that slip adds."""
+
+    position_per_m: float
+    """m^2 per metre, each axis"""
+    position_per_rad: float
+    """m^2 per radian, each axis"""
+    heading_per_m: float
+    """rad^2 per metre"""
+    heading_per_rad: float
+    """rad^2 per radian"""
+
+    @staticmethod
+    def of(noise: MotionNoise) -> Slip:
+        """The variances of the noise of a drive."""
+        of_position = noise.slip_position_per_sqrt_m, noise.slip_position_per_sqrt_rad
+        of_heading = noise.slip_heading_per_sqrt_m, noise.slip_heading_per_sqrt_rad
+        return Slip(*(float(sigma**2) for sigma in (*of_position, *of_heading)))
+
+
+class OdometryNoise(NamedTuple):
+    """The assumed noise of odometry."""
+
+    speed: float
+    """scale of the error of a distance, as a share of it"""
+    turn_rate: float
+    """scale of the error of a turn, as a share of it"""
+    divisor: float
+    """of the squares of both, as of `variance_divisor`"""
+    slip: Slip
+    floor_m2: float
+    """variance of position between two keyframes beside that"""
+    floor_rad2: float
+    """variance of heading between two keyframes beside that"""
+    wheels: Wheels
+
+    @staticmethod
+    @functools.cache
+    def of(assumed: AssumedConfig) -> OdometryNoise:
+        """That of a configuration."""
+        noise = assumed.motion
+        return OdometryNoise(
+            float(noise.speed),
+            float(noise.turn_rate),
+            variance_divisor(noise.distribution),
+            Slip.of(noise),
+            float(assumed.floor_m**2),
+            float(assumed.floor_rad**2),
+            Wheels.assumed(assumed),
+        )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def slipped(slip: Slip, distance: float, turn: float) -> tuple[float, float]:
+    """Variances of position (m^2, each axis) and heading (rad^2) that slip adds over a distance and a turn."""
+    d, a = abs(distance), abs(turn)
+    return slip.position_per_m * d + slip.position_per_rad * a, slip.heading_per_m * d + slip.heading_per_rad * a
+
+
+@numba.njit(cache=True, error_model="numpy")
+def motion_covariance(motion: Triple, noise: OdometryNoise) -> Array:
+    """(3, 3) of a motion's error by the assumed noise.
+
+    G Q G^T of the arc, with Q depending on its length and turn (the correct form of the report's eq. 8-9); slip and a
+    floor beside it.
+    """
+    distance, turn = arc_length(motion[0], motion[1], motion[2]), motion[2]
+    position, heading = slipped(noise.slip, distance, turn)
+    share = max(abs(distance) / _FLOOR_PER_M, abs(turn) / _FLOOR_PER_RAD)
+    position += noise.floor_m2 * share
+    heading += noise.floor_rad2 * share
+    by_distance, by_turn = noise.speed * distance, noise.turn_rate * turn
+    by_distance, by_turn = by_distance * by_distance / noise.divisor, by_turn * by_turn / noise.divisor
+    g, cov = arc_jacobian(distance, turn), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            cov[i, j] = g[i, 0] * by_distance * g[j, 0] + g[i, 1] * by_turn * g[j, 1]
+    cov[0, 0] += position
+    cov[1, 1] += position
+    cov[2, 2] += heading
+    return cov
+
+
+@numba.njit(cache=True, error_model="numpy")
+def increment(before: Triple, after: Triple, noise: OdometryNoise) -> tuple[Triple, Array]:
+    """The motion between two different poses by the wheels, and (3, 3) of its error."""
+    motion = true_motion(between(before, after), noise.wheels)
+    return motion, motion_covariance(motion, noise)
 
 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:
@@ -22,7 +120,7 @@ def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: f
     Report eq. 6-7.
     """
     steps = max(1, math.ceil(duration_s / step_s - 1e-9))
-    return Pose(*driven((pose.x, pose.y, pose.theta), float(speed), float(turn_rate), duration_s / steps, steps))
+    return Pose(*driven(pose.triple(), float(speed), float(turn_rate), duration_s / steps, steps))
 
 
 def draw(rng: np.random.Generator, distribution: Distribution, scale: float, size: int | None = None) -> Array:
@@ -43,13 +141,8 @@ def compose_jacobians(heading: float, motion: Pose) -> tuple[Array, Array]:
     The motion's error is in the axes of the frame in which it ends.
     """
     c, s = math.cos(heading), math.sin(heading)
-    by_pose = np.array(
-        [
-            [1.0, 0.0, -s * motion.x - c * motion.y],
-            [0.0, 1.0, c * motion.x - s * motion.y],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    by_pose = np.eye(3)
+    by_pose[:2, 2] = -s * motion.x - c * motion.y, c * motion.x - s * motion.y
     return by_pose, Pose(theta=heading + motion.theta).adjoint()
 
 
@@ -113,83 +206,19 @@ STANDSTILL = Odometry(Pose(), np.zeros((3, 3)))
 STANDSTILL.cov.flags.writeable = False
 
 
-def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
+def odometry(before: Pose, after: Pose, assumed: AssumedConfig, wheels: Wheels | None = None) -> Odometry:
     """The increment between two odometry poses, with its covariance by the assumed noise.
+
+    For `wheels`, which are estimated, it has its dependence on them.
 
     The multiplicative part is G Q G^T with Q depending on the command (the correct form of the report's eq. 8-9). Slip
     adds to it, and a small floor, without which the covariance has rank 2, or 1 when turning on the spot.
     """
     if before == after:
         return STANDSTILL  # the difference would have rounding errors that look like motion
-    motion, cov = increment(
-        (before.x, before.y, before.theta), (after.x, after.y, after.theta), OdometryNoise.of(assumed)
-    )
-    return Odometry(Pose(*motion), cov)
-
-
-class WheelOdometry:
-    """Odometry that depends on the wheels' parameters, whose values may change as they become known."""
-
-    def __init__(self, assumed: AssumedConfig) -> None:
-        self._assumed = assumed
-        self.wheels = Wheels.assumed(assumed)
-        """the present values"""
-        self._reported = _Reported()
-
-    def increment(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
-        """As `odometry`; `duration_s` is the time between the two poses."""
-        reported, change = self._reported.moved(before, after, duration_s, self.wheels.latency_s)
-        if reported == STANDSTILL.motion and not change.any():
-            return STANDSTILL
-        motion, terms = corrected_with_terms(reported, self.wheels, change)
-        cov = (
-            np.zeros((3, 3))
-            if reported == STANDSTILL.motion
-            else motion_covariance((motion.x, motion.y, motion.theta), OdometryNoise.of(self._assumed))
-        )
-        late = self._assumed.wheels.jitter_sigma_s * terms.jacobian[:, 3]
-        return Odometry(motion, cov + np.outer(late, late), terms)
-
-
-_LONGEST_DELAY_S = 2.0  # between what is reported and what the robot does
-
-
-class _Reported:
-    """The poses of the wheels in the last seconds: where the robot is by them, for any latency."""
-
-    def __init__(self) -> None:
-        self._poses: deque[tuple[float, Pose, Array]] = deque()
-        """time, s, the pose then, and the velocity (3,) towards it, axes of the odometry's frame"""
-
-    def moved(self, before: Pose, after: Pose, duration_s: float, latency_s: float) -> tuple[Pose, Array]:
-        """The motion during the increment from `before` to `after`, and its derivative (3,) by the latency.
-
-        Both are those of the poses that have that age at their stamps.
-        """
-        if not self._poses:
-            self._poses.append((0.0, before, np.zeros(3)))
-        start, first = self._at(latency_s)
-        time_s = self._poses[-1][0] + duration_s
-        way = np.array([after.x - before.x, after.y - before.y, wrap_angle(after.theta - before.theta)])
-        self._poses.append((time_s, after, way / duration_s))
-        while self._poses[1][0] < time_s - _LONGEST_DELAY_S:
-            self._poses.popleft()
-        end, last = self._at(latency_s)
-        # The difference of places first: a turn on the spot has no rounding error then, which would look like a curve.
-        motion = Pose() if start == end else Pose(*between(start.triple(), end.triple()))
-        change = last - first
-        change[:2] = change[:2] @ rotation(start.theta) + first[2] * np.array([motion.y, -motion.x])
-        return motion, change
-
-    def _at(self, latency_s: float) -> tuple[Pose, Array]:
-        """The pose now, and the velocity (3,) there; poses that are not yet reported follow the last velocity."""
-        time_s = self._poses[-1][0] + latency_s
-        ends = reversed(self._poses)
-        end_s, pose, velocity = next(ends)
-        for start_s, start, earlier in ends:
-            if time_s >= start_s and time_s != end_s:
-                return Pose.from_array(start.array() + (time_s - start_s) * velocity), velocity
-            if time_s >= start_s:
-                break
-            end_s, pose, velocity = start_s, start, earlier
-        return pose, velocity
+    noise = OdometryNoise.of(assumed)
+    if wheels is None:
+        motion, cov = increment(before.triple(), after.triple(), noise)
+        return Odometry(Pose(*motion), cov)
+    corrected, terms = corrected_with_terms(Pose(*between(before.triple(), after.triple())), wheels)
+    return Odometry(corrected, motion_covariance(corrected.triple(), noise), terms)

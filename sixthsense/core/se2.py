@@ -7,7 +7,7 @@ pose in each row, and kernels a triple. `compose`, `inverse` and `between` compu
 from __future__ import annotations
 
 import math
-from typing import Any, overload
+from typing import TypeVar
 
 import numba
 import numba.extending
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 """a `Pose` to a kernel"""
+Poses = TypeVar("Poses", Array, Triple)
+"""a triple, or poses in rows"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -54,29 +56,17 @@ def _relative(a: Triple, b: Triple) -> Triple:
     return c * dx + s * dy, c * dy - s * dx, wrapped(b[2] - a[2])
 
 
-@overload
-def compose(a: Array, b: Array) -> Array: ...
-@overload
-def compose(a: Triple, b: Triple) -> Triple: ...
-def compose(a: Any, b: Any) -> Triple | Array:
+def compose(a: Poses, b: Poses) -> Poses:
     """`T_a_c` of `T_a_b` and `T_b_c`: triples, or rows (3,) or (N, 3), of which a single one stands for all."""
     return _by_rows(a, b, False) if isinstance(a, np.ndarray) else _composed(a, b)
 
 
-@overload
-def between(a: Array, b: Array) -> Array: ...
-@overload
-def between(a: Triple, b: Triple) -> Triple: ...
-def between(a: Any, b: Any) -> Triple | Array:
+def between(a: Poses, b: Poses) -> Poses:
     """`T_a_b` of `T_w_a` and `T_w_b`: triples, or rows (3,) or (N, 3), of which a single one stands for all."""
     return _by_rows(a, b, True) if isinstance(a, np.ndarray) else _relative(a, b)
 
 
-@overload
-def inverse(a: Array) -> Array: ...
-@overload
-def inverse(a: Triple) -> Triple: ...
-def inverse(a: Any) -> Triple | Array:
+def inverse(a: Poses) -> Poses:
     """`T_b_a` of `T_a_b`: a triple, or rows (3,) or (N, 3)."""
     return between(a, np.zeros(3)) if isinstance(a, np.ndarray) else _inverted(a)
 
@@ -85,13 +75,6 @@ def inverse(a: Any) -> Triple | Array:
 numba.extending.overload(compose)(lambda a, b: lambda a, b: _composed(a, b))
 numba.extending.overload(between)(lambda a, b: lambda a, b: _relative(a, b))
 numba.extending.overload(inverse)(lambda a: lambda a: _inverted(a))
-
-
-def move_points(poses: Array, points: Array) -> Array:
-    """(n, k, 2) points in frame a, of those in frames b at `T_a_b` (n, 3), or (1, 3) for all."""
-    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x, y = points[..., 0], points[..., 1]
-    return np.stack([poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y], axis=-1)
 
 
 def _by_rows(a: Array, b: Array, is_relative: bool) -> Array:
@@ -246,8 +229,7 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
     By Jacobi's rotations (Golub and Van Loan, "Matrix Computations", 8.5): the roots of the cubic lose half of the
     digits where two eigenvalues are alike, and small ones beside large ones.
     """
-    a, axes = matrix.copy(), np.zeros((3, 3))
-    axes[0, 0] = axes[1, 1] = axes[2, 2] = 1.0
+    a, axes = matrix.copy(), np.eye(3)
     for _ in range(_MOST_SWEEPS):
         if a[0, 1] == 0.0 and a[0, 2] == 0.0 and a[1, 2] == 0.0:
             break

@@ -7,23 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sixthsense.core.geometry import Array, rotation
+from sixthsense.core.geometry import Array
 from sixthsense.core.parameters import ParameterEstimate
 
-SENSOR_PARAMETERS = 4
+SENSOR_PARAMETERS = 2
 """number of a sensor's parameters"""
 
 
 class Sensor(NamedTuple):
-    """Systematic errors of the points that a sensor reports in the robot's frame: those of its mount and lens.
+    """Systematic errors of the points that a sensor reports in the robot's frame: those of a camera's lens.
 
-    A scale of distances is not among them: only that of the wheels relative to the sensor's is observable.
+    A camera measures a depth along its axis, which both parameters keep: they move a point sideways. A scale of
+    distances is not among them: only that of the wheels relative to the sensor's is observable.
     """
 
-    yaw_rad: float = 0.0
-    """direction of the sensor in the robot's frame, beyond the assumed one"""
-    forward_m: float = 0.0
-    """place of the sensor along the robot's x axis, beyond the assumed one"""
     bearing_scale_error: float = 0.0
     """tangents of true bearings are (1 + this) times those it reports, at the same depth, as by a wrong focal length"""
     centre_tangent: float = 0.0
@@ -31,36 +28,25 @@ class Sensor(NamedTuple):
 
     @classmethod
     def from_array(cls, values: Array) -> Sensor:
-        """The parameters of four numbers, in the order of the fields."""
+        """The parameters of two numbers, in the order of the fields."""
         return cls(*values.tolist())
 
     def array(self) -> Array:
-        """(4,) in the order of the fields."""
+        """(2,) in the order of the fields."""
         return np.array(self)
 
     def corrected(self, point: Array) -> tuple[Array, Array]:
-        """A reported point (2,) corrected, and its Jacobian (2, 2) by the reported one.
-
-        A camera measures a depth along its axis, which its focal length leaves to the scale, and its principal point
-        leaves alone: both move a point sideways. So a wrong principal point is not a yaw, which turns the axis, too.
-        """
-        by_point = rotation(self.yaw_rad) @ self._sideways()
-        return by_point @ point + np.array([self.forward_m, 0.0]), by_point
+        """A reported point (2,) corrected, and its Jacobian (2, 2) by the reported one."""
+        by_point = np.array([[1.0, 0.0], [self.centre_tangent, 1.0 + self.bearing_scale_error]])
+        return by_point @ point, by_point
 
     def reported(self, point: Array) -> Array:
         """The reported point (2,) of one that is corrected."""
-        seen = (point - np.array([self.forward_m, 0.0])) @ rotation(self.yaw_rad)
-        return np.array([seen[0], (seen[1] - self.centre_tangent * seen[0]) / (1.0 + self.bearing_scale_error)])
+        return np.array([point[0], (point[1] - self.centre_tangent * point[0]) / (1.0 + self.bearing_scale_error)])
 
     def jacobian(self, point: Array) -> Array:
-        """(2, 4) of a corrected point by the parameters, for the reported point (2,)."""
-        turn = rotation(self.yaw_rad)
-        x, y = (turn @ self._sideways() @ point).tolist()
-        return np.column_stack([(-y, x), (1.0, 0.0), point[1] * turn[:, 1], point[0] * turn[:, 1]])
-
-    def _sideways(self) -> Array:
-        """(2, 2) what the lens moves sideways, axes of the sensor."""
-        return np.array([[1.0, 0.0], [self.centre_tangent, 1.0 + self.bearing_scale_error]])
+        """(2, 2) of a corrected point by the parameters, for the reported point (2,)."""
+        return np.array([[0.0, 0.0], [point[1], point[0]]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +61,15 @@ class SensorTerms:
     """(2, 2) as reported"""
 
     def jacobian(self) -> Array:
-        """(2, 4) of the corrected point by the parameters."""
+        """(2, 2) of the corrected point by the parameters."""
         return self.values.jacobian(self.z)
 
 
-_SIGMAS = 0.03, 0.1, 0.03, 0.03
-"""rad of the yaw, m of the place, the scale of bearings and the tangent of the centre before any observation: for a
-picture of 640 pixels, 60 degrees wide, 16 pixels"""
+_SIGMA = 0.03
+"""of the scale of bearings and of the tangent of the centre before any observation: for a picture of 640 pixels, 60
+degrees wide, 16 pixels"""
 
 
 def sensor_prior() -> ParameterEstimate[Sensor]:
-    """The prior of the parameters: none is wrong, within 0.03 rad, 0.1 m, 3 % and 0.03."""
-    return ParameterEstimate(Sensor(), np.diag(np.square(_SIGMAS)))
+    """The prior of the parameters: neither is wrong, within 3 % and 0.03."""
+    return ParameterEstimate(Sensor(), _SIGMA**2 * np.eye(SENSOR_PARAMETERS))

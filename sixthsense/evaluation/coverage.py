@@ -59,7 +59,7 @@ def _mark(laser: Triple, beams: Beams, lengths: Array, scan: int, first: Scans) 
     c, s = math.cos(theta), math.sin(theta)
     first_col, first_row = math.floor(x), math.floor(y)
     for i in range(lengths.shape[0]):
-        col, row, length = first_col, first_row, lengths[beams.order[i]]
+        col, row, length = first_col, first_row, lengths[i]
         cos, sin = c * beams.cos[i] - s * beams.sin[i], s * beams.cos[i] + c * beams.sin[i]
         steps = abs(math.floor(x + length * cos) - col) + abs(math.floor(y + length * sin) - row)
         step_x, step_y = (1 if cos > 0.0 else -1), (1 if sin > 0.0 else -1)

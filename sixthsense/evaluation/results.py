@@ -65,12 +65,8 @@ _GROUPS = {
         ("wheel_forward_scale_error", "1", "true distance is (1 + this) times the reported one, as estimated"),
         ("wheel_turn_scale_error", "1", "true turn is (1 + this) times the reported one, plus the drift"),
         ("wheel_drift_rad_per_m", "rad/m", "turn that unequal wheels add per metre"),
-        ("wheel_latency_s", "s", "age of odometry at its stamp"),
-        ("wheel_curve_loss_m_per_rad", "m/rad", "distance that curves are shorter than reported, as estimated"),
     ),
     "Sensor": (
-        ("sensor_yaw_rad", "rad", "direction of the sensor beyond the assumed one, as estimated"),
-        ("sensor_forward_m", "m", "place of the sensor along the robot's x axis beyond the assumed one, as estimated"),
         ("sensor_bearing_scale_error", "1", "tangents of true bearings are 1 + this times those the sensor reports"),
         ("sensor_centre_tangent", "1", "tangent of the true bearing of what the sensor reports on its axis"),
     ),

@@ -189,7 +189,7 @@ def _draw(ax: Any, finished: Trace, trace: Trace, tick: Tick, plan: Array, tour:
     shown = {"plan": plan, "path": np.array(trace.estimates)[:, :2]}
     shown["heading"] = np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])])
     if live.scan is not None:
-        shown["returns"] = pose @ live.scan.points_robot[live.scan.is_return]
+        shown["returns"] = pose @ live.scan.returns_robot
     if (region := _region(finished)) is not None:
         shown["frontiers"] = frontier_points(grid.seen, grid.obstacles, grid.origin, cell_m, region)
     if len(tour):

@@ -30,6 +30,8 @@ _FASTEST = 1000.0  # m/s, rad/s
 _OUTERMOST_M = 1e6
 _MISREAD = 0.01
 """largest accepted share of measurements with an unknown barcode"""
+_DELAY_NS = 200_000_000
+"""from a command, which is what the log has as odometry, to the robot's motion, by Vicon"""
 _NAME = re.compile(r"Robot([1-9][0-9]{0,8})_Odometry\.dat(\.gz)?")
 
 
@@ -42,9 +44,9 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
     """Read `Barcodes.dat` and one robot's `RobotN_Odometry.dat`, `_Measurement.dat` and `_Groundtruth.dat`.
 
     Each file is plain or gzip; `_Groundtruth.dat` and `Landmark_Groundtruth.dat` are optional. `robot` is optional if
-    there is only one. Each stamp of odometry or of a measurement is a tick. Forward speed and turn rate hold until the
-    next record and are integrated by RK4 from the first true pose, or from zero without truth. Truth is interpolated
-    between Vicon's poses. The log spans the odometry, and with truth only its part with truth.
+    there is only one. Each stamp of odometry, 0.2 s later, or of a measurement is a tick. Forward speed and turn rate
+    hold until the next record and are integrated by RK4 from the first true pose, or from zero without truth. Truth is
+    interpolated between Vicon's poses. The log spans the odometry, and with truth only its part with truth.
 
     The id of a landmark is the number of its subject; robots (subjects 1 to 5) are skipped. `assumed.laser` has the
     sigmas of range (m) and bearing (rad), both above 0; `assumed.landmark_floor_m` is added on both axes. All
@@ -84,7 +86,9 @@ def _truth_of(file: Path) -> Odometry:
 
 
 def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: Odometry | None) -> list[Tick]:
-    rates = dict(zip(_ascending_ns(drive), drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
+    rates = {  # the last record of each stamp
+        stamp + _DELAY_NS: row for stamp, row in zip(_ascending_ns(drive), drive.numbers[:, 1:].tolist(), strict=True)
+    }
     first, last = min(rates), max(rates)
     if truth is not None:
         first, last = max(first, int(truth.stamps_ns[0])), min(last, int(truth.stamps_ns[-1]))

@@ -92,8 +92,8 @@ def handled(*names: str) -> Iterator[Signals]:
     finally:
         if not _signals.is_last:
             sys.unraisablehook, _signals.number, _signals.is_over = report, 0, False
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        for number, handler in before.items():  # Python gives up its handlers before a process has ended
+            signal.signal(number, signal.SIG_IGN if _signals.is_last else handler)
 
 
 def command_signals() -> contextlib.AbstractContextManager[Signals]:

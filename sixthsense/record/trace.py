@@ -222,9 +222,9 @@ class Trace:
     links: PoseLinks | None = None
     """links between keyframes by scan matching; None without them"""
     wheels: Array | None = None
-    """(2, 5) the wheels' parameters at the end, in the order of `core.wheels.Wheels`, and their sigmas; if estimated"""
+    """(2, 3) the wheels' parameters at the end, in the order of `core.wheels.Wheels`, and their sigmas; if estimated"""
     sensor: Array | None = None
-    """(2, 4) the same of the sensor of points, in the order of `core.sensor.Sensor`"""
+    """(2, 2) the same of the sensor of points, in the order of `core.sensor.Sensor`"""
     relations: Relations | None = None
     """hand-checked relations, the reference of the trajectory's error"""
     grid: Grid | None = None

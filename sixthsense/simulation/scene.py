@@ -245,8 +245,8 @@ def _check_inside(where: str, point: Point, region: Region) -> None:
 
 def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
     distance = float(point_segment_distance(np.array(point), scene.solid).min())
-    found, allowed = f"found ({point[0]:g}, {point[1]:g}),", f"at least the robot's radius {radius:g} m"
-    if distance < radius:
+    found, allowed = f"found ({point[0]:g}, {point[1]:g}),", f"more than the robot's radius {radius:g} m"
+    if distance <= radius * (1.0 + 1e-9):
         raise InputError(where, f"{found} {distance:.3g} m from a wall", allowed + _near(point, scene, radius))
     if _is_in_wall(point, scene):
         allowed = "a free place" + _near(point, scene, radius)

@@ -15,8 +15,7 @@ from sixthsense.config import Config
 from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
-from sixthsense.core.motion import draw
-from sixthsense.core.odometry_kernels import Slip, slipped
+from sixthsense.core.motion import Slip, draw, slipped
 from sixthsense.core.ray_casting import NO_LEGS, Moving, beams_of, cast_among, cast_sweep, near_walls
 from sixthsense.core.se2 import Triple, compose, wrapped
 from sixthsense.core.source import Command, Tick

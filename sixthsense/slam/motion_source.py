@@ -17,21 +17,21 @@ from typing import Protocol
 
 import numpy as np
 
-from sixthsense.config import AssumedConfig, Config
+from sixthsense.config import AssumedConfig, Config, WheelsConfig
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import NEEDS_FILTER
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.core.motion import Odometry, WheelOdometry, odometry
+from sixthsense.core.motion import Odometry, odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels, wheel_prior
 from sixthsense.slam.estimators import Estimator, Filter
 
-# Sigmas grow with the way, not with its square root.
-_SIGMA_M, WHEELS_M_PER_M = 0.01, 0.05
-_SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
 UNSTEADY = 0.4
-"""share of these that no parameter describes: the floor, the load and the tyres change"""
+"""share of the wheels' errors that no parameter describes: the floor, the load and the tyres change"""
+
+
+_USUAL = WheelsConfig()
 
 
 class MotionSource(Protocol):
@@ -76,15 +76,15 @@ class ByWheels:
         self._is_stated = tick.increment_cov is not None
         if tick.increment_cov is not None:
             return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
-        return self._by_noise(before, tick.odometry, duration_s)
+        return self._by_noise(before, tick.odometry)
 
-    def _by_noise(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
+    def _by_noise(self, before: Pose, after: Pose) -> Odometry:
         """The motion between two poses of the wheels with the covariance of the assumed noise."""
         return odometry(before, after, self._assumed)
 
     def for_estimator(self, since: Odometry) -> Odometry:
         """The motion with the errors of any wheels, or as the log states it."""
-        return since if self._is_stated else with_wheel_errors(since)
+        return since if self._is_stated else with_wheel_errors(since, self._assumed.wheels)
 
     def for_tracking(self, since: Odometry) -> Odometry:
         """The same."""
@@ -96,16 +96,15 @@ class CalibratedWheels(ByWheels):
 
     def __init__(self, assumed: AssumedConfig) -> None:
         super().__init__(assumed)
-        self._odometry = WheelOdometry(assumed)
         self._estimate = wheel_prior(assumed)
 
-    def _by_noise(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
+    def _by_noise(self, before: Pose, after: Pose) -> Odometry:
         """The motion by the present parameters, and its dependence on them."""
-        return self._odometry.increment(before, after, duration_s)
+        return odometry(before, after, self._assumed, self._estimate.values)
 
     def for_estimator(self, since: Odometry) -> Odometry:
         """The motion with the errors that no parameter describes, or as the log states it."""
-        return since if self._is_stated else with_wheel_errors(since, UNSTEADY)
+        return since if self._is_stated else with_wheel_errors(since, self._assumed.wheels, UNSTEADY)
 
     def for_tracking(self, since: Odometry) -> Odometry:
         """The same with the errors that the estimate of the parameters leaves."""
@@ -117,15 +116,16 @@ class CalibratedWheels(ByWheels):
 
     def use(self, wheels: ParameterEstimate[Wheels]) -> None:
         """Use these parameters from now on."""
-        self._estimate, self._odometry.wheels = wheels, wheels.values
+        self._estimate = wheels
 
 
-def with_wheel_errors(odometry: Odometry, share: float = 1.0) -> Odometry:
-    """Odometry whose covariance has a share of the errors added that wheels in general have."""
+def with_wheel_errors(odometry: Odometry, errors: WheelsConfig = _USUAL, share: float = 1.0) -> Odometry:
+    """Odometry with the assumed errors of wheels in its covariance; of those that grow with the way, a share."""
     motion = odometry.motion
     distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-    position = (_SIGMA_M + share * WHEELS_M_PER_M * distance) ** 2
-    heading = (_SIGMA_RAD + share * _RAD_PER_RAD * turn + share * _RAD_PER_M * distance) ** 2
+    position = (errors.position_m + share * errors.position_per_m * distance) ** 2
+    by_way = errors.heading_per_rad * turn + errors.heading_per_m * distance
+    heading = (errors.heading_rad + share * by_way) ** 2
     return Odometry(motion, odometry.cov + np.diag([position, position, heading]), odometry.wheels)
 
 

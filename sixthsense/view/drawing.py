@@ -100,7 +100,7 @@ class Drawing:
         turn = rr.RotationAxisAngle(axis=[0.0, 0.0, 1.0], radians=pose.theta)
         self._stream.log("map/robot", rr.Transform3D(translation=[pose.x, pose.y, 0.0], rotation=turn))
         if live is not None and live.scan is not None:
-            self._points("map/scan", pose @ live.scan.points_robot[live.scan.is_return], ODOMETRY, 1.5)
+            self._points("map/scan", pose @ live.scan.returns_robot, ODOMETRY, 1.5)
         if tick.truth is not None:
             self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
         if tick.walkers is not None:

@@ -55,32 +55,6 @@ def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(here):
     assert len(ss.load(folder).trace.estimates) > 0
 
 
-def processes(word: str) -> list[int]:
-    """The processes that have a word in their command line."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if word.encode() in (folder / "cmdline").read_bytes():
-                found.append(int(folder.name))
-        except OSError:
-            continue
-    return found
-
-
-@pytest.mark.skipif(not Path("/proc/self/cmdline").is_file(), reason="needs /proc")
-def test_a_viewer_ends_with_its_run_even_if_that_is_killed(here):
-    pytest.importorskip("rerun")
-    process = start(*ENDLESS, "--view", "browser")
-    assert process.stderr is not None
-    page = process.stderr.readline()
-    port = page.rpartition("%3A")[2].partition("%2F")[0]
-    wait_until(lambda: has_record(here / "x.partial"))
-    assert len(processes(f"\0--port\0{port}")) == 2  # the viewer and its watchdog
-    process.kill()
-    process.communicate(timeout=60)
-    wait_until(lambda: processes(f"\0--port\0{port}") == [])
-
-
 @pytest.mark.skipif(not Path("/proc/self/cmdline").is_file(), reason="needs /proc")
 def test_a_terminated_campaign_keeps_its_rows_and_leaves_no_process(here):
     pytest.importorskip("pandas")

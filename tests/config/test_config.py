@@ -75,8 +75,7 @@ STATED = {
     },
     "mrclam": {
         "calibrate_wheels": True, "calibrate_sensor": True, "association.cull_below": 0, "assumed.laser.range_m": 0.1,
-        "assumed.laser.bearing_rad": 0.012, "assumed.wheels.latency_sigma_s": 0.2, "isam2.undo_probability": 1.0,
-        "assumed.wheels.jitter_sigma_s": 0.07, "assumed.wheels.curve_loss_sigma_m_per_rad": 0.1,
+        "assumed.laser.bearing_rad": 0.012, "isam2.undo_probability": 1.0,
     },
     "victoria": {"association.cull_below": 0, "isam2.undo_probability": 1.0},
 }  # fmt: skip

@@ -18,8 +18,7 @@ from sixthsense.core.landmarks import (
     rotation_generator,
 )
 from sixthsense.core.laser import Scan, sweep_ns, sweep_times
-from sixthsense.core.motion import Odometry, odometry
-from sixthsense.core.odometry_kernels import Slip
+from sixthsense.core.motion import Odometry, Slip, odometry
 from sixthsense.core.ray_casting import cast_rays, cast_sweep, near_walls
 from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.core.wheels import wheel_prior
@@ -36,7 +35,7 @@ def test_a_polar_observation_is_the_point_that_explains_it_on_average():
 
 
 def test_a_point_that_is_corrected_for_the_sensor_has_its_error_carried_along():
-    sensor, cov = Sensor(0.3, 0.12, 0.2), np.array([[0.09, 0.02], [0.02, 0.01]])
+    sensor, cov = Sensor(0.12, 0.2), np.array([[0.09, 0.02], [0.02, 0.01]])
     z = np.array([1.4, 1.1])
     found = Observation(Kind.CORNER, z, cov).with_sensor(sensor)
     jacobian = np.column_stack([(sensor.corrected(z + h)[0] - sensor.corrected(z - h)[0]) / 2e-6
@@ -64,15 +63,16 @@ def test_a_rotation_of_the_world_moves_points_around_and_turns_walls():
 
 
 def test_priors_have_the_variances_that_are_configured():
-    sigmas = {"latency_sigma_s": 0.011, "curve_loss_sigma_m_per_rad": 0.013}
-    assumed = preset(assumed={"wheels": sigmas}).assumed
+    assumed = preset(assumed={"wheel_scale_error": 0.04}).assumed
     wheels = wheel_prior(assumed).cov
     # The forward scale, and the same error of the turn beside one of its own by the track.
-    expected = np.diag([0.0025, 0.0029, 0.0009, 0.000121, 0.000169])
+    expected = np.diag([0.0025, 0.0029, 0.0009])
     expected[0, 1] = expected[1, 0] = 0.0025
     assert wheels == pytest.approx(expected)
-    assert wheel_prior(assumed).with_sigmas()[1] == pytest.approx(np.sqrt(np.diag(expected)))
-    assert sensor_prior().with_sigmas().tolist() == [[0.0] * 4, pytest.approx([0.03, 0.1, 0.03, 0.03])]
+    assert wheel_prior(assumed).with_sigmas() == pytest.approx(
+        np.array([[0.04, 0.04, 0.0], np.sqrt(np.diag(expected))])
+    )
+    assert sensor_prior().with_sigmas().tolist() == [[0.0] * 2, pytest.approx([0.03, 0.03])]
 
 
 @pytest.mark.parametrize("distribution, divisor", [("gaussian", 1.0), ("uniform", 3.0)])

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.se2 import (
     Triple,
     between,
@@ -15,7 +15,6 @@ from sixthsense.core.se2 import (
     inverse,
     inverse_covariance,
     largest_variance,
-    move_points,
     whitening,
     whitenings,
     wrapped,
@@ -67,14 +66,6 @@ def test_rows_of_poses_are_composed_as_matrices(a: np.ndarray, b: np.ndarray) ->
         assert found.shape == rows
         for row, pose in zip(found.reshape(-1, 3), expected, strict=True):
             assert_is(tuple(row), pose)
-
-
-def test_points_are_moved_as_by_matrices() -> None:
-    points = RNG.uniform(-6.0, 6.0, size=(7, 4, 2))
-    found = move_points(MANY, points)
-    for pose, before, after in zip(MANY, points, found, strict=True):
-        assert np.allclose(after, (matrix(tuple(pose)) @ np.column_stack([before, np.ones(4)]).T).T[:, :2], atol=1e-12)
-    assert np.allclose(move_points(MANY[:1], points)[3], Pose.from_array(MANY[0]) @ points[3], atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.3, -3.2, 7.0, np.pi, -np.pi, 3 * np.pi, -np.pi - 1e-17, np.nextafter(-np.pi, -4)])

@@ -27,9 +27,8 @@ WALLS = Laws()
 Values = Wheels | Sensor
 Parameters = ParameterEstimate[Wheels] | ParameterEstimate[Sensor]
 
-PRIOR = ParameterEstimate(Wheels(), np.diag([0.05, 0.05, 0.03, 0.05, 0.03]) ** 2)
-TRUE = Wheels(0.03, -0.04, 0.02, 0.05, 0.02)
-_PERIOD_S = 0.5
+PRIOR = ParameterEstimate(Wheels(), np.diag([0.05, 0.05, 0.03]) ** 2)
+TRUE = Wheels(0.03, -0.04, 0.02)
 _TURNS = (0.3, 0.0, -0.35, 0.1)
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 _RING = np.column_stack([5.0 * np.cos(_ANGLES), 4.0 * np.sin(_ANGLES)])
@@ -37,12 +36,9 @@ _RING = np.column_stack([5.0 * np.cos(_ANGLES), 4.0 * np.sin(_ANGLES)])
 
 def increment(k: int, wheels: Wheels, cov: Array) -> Odometry:
     """The k-th motion that the wheels report, as odometry with these parameters and the covariance `cov` (3, 3)."""
-    reported, before = (
-        np.array([0.2 + 0.1 * math.sin(0.7 * i), 0.01, _TURNS[(i // 6) % 4]]) for i in (k, max(k - 1, 0))
-    )
-    change = (reported - before) / _PERIOD_S
-    at_stamp, terms = corrected_with_terms(Pose.from_array(reported), wheels, change)
-    return Odometry(Pose.from_array(at_stamp.array() + wheels.latency_s * change), cov, terms)
+    reported = Pose(0.2 + 0.1 * math.sin(0.7 * k), 0.01, _TURNS[(k // 6) % 4])
+    motion, terms = corrected_with_terms(reported, wheels)
+    return Odometry(motion, cov, terms)
 
 
 class Kept:
@@ -118,8 +114,8 @@ class OfSensor(Kept):
 
     label, prior, true = (
         "sensor",
-        ParameterEstimate(Sensor(), np.diag([0.03, 0.1, 0.03, 0.03]) ** 2),
-        Sensor(0.02, -0.08, 0.03, -0.02),
+        ParameterEstimate(Sensor(), np.diag([0.03, 0.03]) ** 2),
+        Sensor(0.03, -0.02),
     )
 
     def look(self, estimator: Filter) -> None:
@@ -231,7 +227,7 @@ def odometry_that_does_not_depend_on_the_wheels_leaves_them_alone(name: str) -> 
 @LAWS.law(None, [worlds.POINTS, worlds.BOTH])
 def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(name: str, world: worlds.World) -> None:
     noise, rng = worlds.NOISE, np.random.default_rng(7)
-    prior = ParameterEstimate(Wheels(0.02, 0.01, -0.01, 0.03), (4.0 * noise) ** 2 * np.eye(PARAMETERS))
+    prior = ParameterEstimate(Wheels(0.02, 0.01, -0.01), (4.0 * noise) ** 2 * np.eye(PARAMETERS))
     true = Wheels.from_array(prior.values.array() + 4.0 * noise * rng.standard_normal(PARAMETERS))
     at = Pose.from_array(worlds.START.array() + np.linalg.cholesky(worlds.START_COV) @ rng.standard_normal(3))
     log: list[tuple[Odometry, dict[LandmarkId, Observation]]] = []
@@ -266,8 +262,8 @@ def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str
     estimator = WHEELS.start(name, PRIOR, at, np.zeros((3, 3)))
     for _ in range(40):
         reported = Pose(0.25, 0.0, -0.5 * at.theta)
-        at = at @ noisy(Odometry(corrected_with_terms(reported, true, np.zeros(3))[0], cov), rng)
-        motion, terms = corrected_with_terms(reported, WHEELS.found(estimator).values, np.zeros(3))
+        at = at @ noisy(Odometry(corrected_with_terms(reported, true)[0], cov), rng)
+        motion, terms = corrected_with_terms(reported, WHEELS.found(estimator).values)
         estimator.predict(Odometry(motion, cov, terms))
         observations = {}
         for i, wall in enumerate(walls):

@@ -115,8 +115,9 @@ def test_a_placement_is_checked_against_the_scene() -> None:
     placed = check_placement(scene, (1.0, 5.0, 3.0), (13.0, 5.0), (0, 0, 14, 9), 0.25)
     assert placed == Pose(1.0, 5.0, 3.0)
     for given, said in [
-        ({"start": (0.05, 5.0, 0.3)}, "0.05 m from a wall, allowed: at least the robot's radius 0.18 m"),
-        ({"start": Pose(0.2, 5.0), "radius": 0.3}, "0.2 m from a wall, allowed: at least the robot's radius 0.3 m"),
+        ({"start": (0.18, 5.0, 0.3)}, "0.18 m from a wall, allowed: more than the robot's radius 0.18 m"),
+        ({"start": (0.05, 5.0, 0.3)}, "0.05 m from a wall, allowed: more than the robot's radius 0.18 m"),
+        ({"start": Pose(0.2, 5.0), "radius": 0.3}, "0.2 m from a wall, allowed: more than the robot's radius 0.3 m"),
         ({"start": (1.0, 2.0)}, "start: found (1.0, 2.0), allowed: 3 numbers"),
         ({"start": (math.nan, 2.0, 0.0)}, "start: found (nan, 2.0, 0.0)"),
         ({"goal": (5.0, 5.0), "region": (6.0, 0.0, 14.0, 9.0)}, "outside the region, allowed: x 6 to 14, y 0 to 9"),

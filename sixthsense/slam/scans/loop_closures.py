@@ -20,7 +20,6 @@ from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import added, between, eigen, in_axes, inverse_covariance, largest_variance, symmetrized
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.slam.motion_source import WHEELS_M_PER_M
 from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, REACH_M, Closings, ScanGraph, Thinning
 from sixthsense.slam.scans.place_search import (
     ANCHORS_APART_M,
@@ -45,6 +44,7 @@ _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
 _DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
+_BIAS_M_PER_M = 0.05  # sigma of what wheels in general are off to one side
 _APART_M = 100.0  # of travel where the robot was carried: neither submap nor vote spans that
 
 
@@ -99,7 +99,7 @@ class LoopClosures:
         if tracked is not None and tracked.has_slipped:
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
-        bias_m = wheels * WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
+        bias_m = wheels * _BIAS_M_PER_M * min(by_wheels, 1.0) * travel
         self._graph.uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
 
     def _carried(self, key: int, cov: Array) -> None:

@@ -7,7 +7,7 @@ from predicted import predict_points
 from scipy.linalg import block_diag, expm
 
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.core.landmarks import initialize_point
+from sixthsense.core.landmarks import initialize_landmark
 from sixthsense.core.motion import compose_jacobians
 from sixthsense.slam.estimators.ekf_algebra import propagate, seen_through, selected
 
@@ -46,7 +46,7 @@ def standard(log):
             K, P = joseph(P, np.vstack(H), block_diag(*(observations[i].cov for i in known)))
             x = x + K @ np.concatenate(z)
         for i in [i for i in observations if i not in ids]:
-            mean, by_pose, by_z = initialize_point(Pose.from_array(x[:3]), observations[i].z)
+            mean, by_pose, by_z = initialize_landmark(Pose.from_array(x[:3]), observations[i])
             G = np.hstack([by_pose, np.zeros((2, len(x) - 3))])
             P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + by_z @ observations[i].cov @ by_z.T]])
             x = np.concatenate([x, mean])

@@ -32,9 +32,8 @@ def test_a_run_with_worn_wheels_finds_their_errors_and_its_folder_keeps_them(tmp
     fields = {"scene": "rectangle", "task": "tour", "max_time": 25.0, "estimator": "ekf-invariant"}
     config = preset("worn", **fields, calibrate_wheels=True)
     run = ss.run(config, out=tmp_path / "run")
-    for key, true in (("forward_scale", 0.02), ("turn_scale", 0.02)):
-        found, sigma = run.metrics[f"wheel_{key}_error"], run.metrics[f"wheel_{key}_sigma"]
-        assert abs(found - true) < 3.5 * sigma and sigma < 0.03
+    for key, sigma in zip(("forward_scale", "turn_scale"), run.trace.wheels[1], strict=False):
+        assert abs(run.metrics[f"wheel_{key}_error"] - 0.02) < 3.5 * sigma and sigma < 0.03
     assert np.array_equal(ss.load(tmp_path / "run").trace.wheels, run.trace.wheels)
 
 
