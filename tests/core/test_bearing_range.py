@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
-from sixthsense.slam.estimators import make_estimator
 
 COVS = {
     "round": np.eye(2),
@@ -67,6 +66,3 @@ def test_a_point_nearer_than_its_own_error_has_a_range_and_a_covariance(r: float
     bearing, distance, cov = Observation(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01).bearing_range()
     assert np.isfinite([bearing, distance]).all() and 0.0 < distance <= max(r, 0.05)
     assert np.linalg.eigvalsh(cov).min() > 0.0 and math.sqrt(cov[0, 0]) <= math.pi + 1e-9
-    estimator = make_estimator("isam2", Pose(), np.zeros((3, 3)))
-    estimator.update({0: Observation(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01)})
-    assert np.isfinite(estimator.joint_covariance([0])).all()

@@ -15,7 +15,6 @@ from sixthsense.core.landmarks import (
     line_point,
     observed_centre,
     polar_observation,
-    rotation_generator,
 )
 from sixthsense.core.laser import Scan, sweep_ns, sweep_times
 from sixthsense.core.motion import Odometry, Slip, odometry
@@ -53,13 +52,6 @@ def test_the_centre_and_the_ends_of_a_wall_lie_on_it():
     assert observed_centre(wall) == pytest.approx(foot + lever * along)
     assert line_point(wall.z, 1.3) == pytest.approx(foot + 1.3 * along)
     assert line_ends(wall.z, -0.6, 1.9) == pytest.approx(np.array([foot - 0.6 * along, foot + 1.9 * along]))
-
-
-def test_a_rotation_of_the_world_moves_points_around_and_turns_walls():
-    landmarks, walls = np.array([[1.2, -0.7], [0.4, 2.5]]), np.array([False, True])
-    moved = (rotation(1e-6) - rotation(-1e-6)) @ landmarks[0] / 2e-6
-    assert rotation_generator(landmarks, walls) == pytest.approx(np.array([moved, [1.0, 0.0]]))
-    assert rotation_generator(landmarks[0]) == pytest.approx(moved)
 
 
 def test_priors_have_the_variances_that_are_configured():

@@ -16,16 +16,6 @@ def close(a: Pose, b: Pose, tolerance: float = 1e-9) -> bool:
     return math.dist(a.position, b.position) < tolerance and abs(wrap_angle(a.theta - b.theta)) < tolerance
 
 
-@given(angles)
-def test_a_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(angle):
-    wrapped = wrap_angle(angle)
-    assert -math.pi <= wrapped < math.pi
-    assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
-    assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)
-    assert wrap_angle(wrapped) == wrapped
-    assert wrap_angle(np.array([angle]))[0] == wrapped
-
-
 @given(poses, poses, poses)
 def test_poses_form_a_group(a, b, c):
     assert close((a @ b) @ c, a @ (b @ c), 1e-6)

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from predicted import predict_points, predict_walls
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each, translations
+from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each
 from sixthsense.core.landmarks import line_errors
 
 
@@ -23,34 +22,11 @@ def case(request):
     return rng, Pose(*rng.normal(size=3) * 3.0), landmarks, walls
 
 
-def test_predictions(case):
-    _, pose, landmarks, walls = case
-    z, by_pose, by_landmark = predictions(pose.triple(), landmarks, walls)
-    for some, predicted in ((walls, predict_walls), (~walls, predict_points)):
-        expected = predicted(pose, landmarks[some])
-        assert np.allclose(z[some], expected[0], atol=1e-12)
-        assert np.allclose(by_pose[some], expected[1], atol=1e-12)
-        assert np.allclose(by_landmark[some], np.broadcast_to(expected[2], (some.sum(), 2, 2)), atol=1e-12)
-
-
 def test_predictions_from_poses_of_their_own(case):
     rng, _, landmarks, walls = case
     poses = rng.normal(size=(12, 3)) * [3.0, 3.0, 1.0]
     alone = [predictions(tuple(poses[k]), landmarks[[k]], walls[[k]])[0][0] for k in range(12)]
     assert np.array_equal(seen_from_each(poses, landmarks, walls), alone)
-
-
-def test_translations(case):
-    rng, _, landmarks, walls = case
-    by = rng.normal(size=landmarks.shape)
-    moved, jacobian = translations(landmarks, walls, by)
-    alpha = landmarks[:, 0]
-    normal, along = np.column_stack([np.cos(alpha), np.sin(alpha)]), np.column_stack([-np.sin(alpha), np.cos(alpha)])
-    offset = landmarks[:, 1] + (normal * by).sum(axis=1)
-    assert np.allclose(moved, np.where(walls[:, None], np.column_stack([alpha, offset]), landmarks + by), atol=1e-12)
-    expected = np.tile(np.eye(2), (len(by), 1, 1))
-    expected[walls, 1, 0] = (along * by).sum(axis=1)[walls]
-    assert np.allclose(jacobian, expected, atol=1e-12)
 
 
 def test_innovations(case):

@@ -36,13 +36,6 @@ def test_rays_end_at_the_nearest_leg_or_wall(seed: int, beams: int) -> None:
     assert np.allclose(cast_among(pose, beams_of(bearings), ROOM.reshape(-1, 4), RANGE, legs), expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("x, y", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 1e-12), (0.05, 0.0)])
-def test_a_leg_is_seen_in_every_direction_and_from_inside(x: float, y: float) -> None:
-    bearings, leg = np.linspace(-np.pi, np.pi, 360, endpoint=False), np.array([[x, y, 0.06, 0.0, 0.0]])
-    expected = np.minimum(cast_rays(Pose(), bearings, ROOM, RANGE), plain(Pose(), bearings, leg))
-    assert np.allclose(cast_among(Pose(), beams_of(bearings), ROOM.reshape(-1, 4), RANGE, leg), expected, atol=1e-9)
-
-
 def test_during_a_sweep_each_beam_meets_a_leg_where_it_is_then() -> None:
     bearings, times = np.zeros(3), np.array([-0.2, -0.1, 0.0])
     moving = Moving(np.array([[2.0, 0.0, 0.1, 5.0, 0.0]]), times)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from point_world import assert_same, driven, joint_state, make, step
+from point_world import assert_same, joint_state, make
 from scipy.optimize import least_squares
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
@@ -97,19 +97,6 @@ def removed_links_leave_no_trace(name: str) -> None:
 
 
 @LAWS.law()
-def links_and_observations_of_one_drive_are_used_together(name: str) -> None:
-    estimator = driven(name)
-    assert isinstance(estimator, Smoother)
-    before = np.linalg.det(estimator.estimate().pose_cov)
-    motion = Pose.from_array(estimator.trajectory()[2]).inverse() @ Pose.from_array(estimator.trajectory()[7])
-    estimator.link([Link(2, 7, Odometry(motion, 1e-6 * np.eye(3)))])
-    assert np.linalg.det(estimator.estimate().pose_cov) < before
-    estimator.predict(step())
-    estimator.update({})
-    assert len(estimator.trajectory()) == 9
-
-
-@LAWS.law()
 def an_unknown_link_or_pose_is_a_key_error_and_changes_nothing(name: str) -> None:
     estimator = linked(name)
     ids = estimator.link(_LINKS)
@@ -138,15 +125,6 @@ def an_invalid_link_is_a_value_error_and_changes_nothing(name: str) -> None:
     for link in (Link(3, 3, _MOTION), Link(0, 2, _MOTION, loss_scale=0.0), Link(0, 2, _MOTION, loss_scale=math.nan)):
         with raises(ValueError, "link 0"):
             estimator.link([link])
-    assert_same(before, joint_state(estimator))
-
-
-@LAWS.law()
-def no_link_changes_nothing(name: str) -> None:
-    estimator = linked(name)
-    before = joint_state(estimator)
-    assert estimator.link([]) == []
-    estimator.unlink([])
     assert_same(before, joint_state(estimator))
 
 

@@ -186,14 +186,6 @@ def parameters_and_pose_converge_to_the_truth_as_noise_goes_to_zero(name: str, k
 
 
 @LAWS.law(None, KINDS)
-def the_estimate_of_parameters_is_a_copy(name: str, kind: Kept) -> None:
-    estimator, _ = kind.driven(name, 5, 0.01, np.random.default_rng(0))
-    before = kind.found(estimator).cov.copy()
-    kind.found(estimator).cov[:] = 7.0
-    assert np.array_equal(kind.found(estimator).cov, before)
-
-
-@LAWS.law(None, KINDS)
 def a_late_or_invalid_prior_is_refused(name: str, kind: Kept) -> None:
     late = f"calibrate {kind.label}"
     with raises(RuntimeError, late):
@@ -208,20 +200,6 @@ def a_late_or_invalid_prior_is_refused(name: str, kind: Kept) -> None:
     for cov in (np.eye(n - 1), -np.eye(n), np.full((n, n), np.nan)):
         with raises(ValueError, f"prior of {kind.label}"):
             kind.start(name, dataclasses.replace(kind.prior, cov=cov))
-
-
-@LAWS.law()
-def odometry_that_does_not_depend_on_the_wheels_leaves_them_alone(name: str) -> None:
-    plain, other = make(name), WHEELS.start(name)
-    for estimator in (plain, other):
-        rng, at = np.random.default_rng(4), START
-        for k in range(8):
-            motion = dataclasses.replace(increment(k, TRUE, 1e-4 * np.eye(3)), wheels=None)
-            at = at @ motion.motion
-            estimator.predict(motion)
-            estimator.update(sight(at, [k % 5, (k + 1) % 5], rng))
-    assert_same(joint_state(plain), joint_state(other), 1e-6)
-    assert np.allclose(WHEELS.found(other).cov, PRIOR.cov, rtol=1e-6, atol=1e-12)
 
 
 @LAWS.law(None, [worlds.POINTS, worlds.BOTH])

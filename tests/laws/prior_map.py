@@ -137,18 +137,6 @@ def a_forgotten_landmark_leaves_the_marginal_of_the_others(name: str, world: wor
 
 
 @LAWS.law()
-def no_landmarks_are_no_prior(name: str) -> None:
-    none = LandmarkPrior(
-        np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 2, 2))
-    )
-    plain, other = make(name), begun(name, none)
-    for estimator in (plain, other):
-        estimator.predict(step())
-        estimator.update(sight(START, [0, 2], np.random.default_rng(0)))
-    assert_same(joint_state(plain), joint_state(other))
-
-
-@LAWS.law()
 def a_late_or_invalid_prior_map_is_refused(name: str) -> None:
     prior = prior_of(worlds.POINTS, np.random.default_rng(0))
     moved, seen = make(name), make(name)
