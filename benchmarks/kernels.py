@@ -134,8 +134,8 @@ def scan_figures(poses: int = 1000) -> Figures:
     rng = np.random.default_rng(1)
     places = free_poses(scene, poses, rng)
     scans = noisy_scans(scene, places, rng)
-    found = [extract(scan, config.assumed, config.features, rng) for scan in scans]
-    extraction = alternate(scans, lambda scan: extract(scan, config.assumed, config.features, rng))
+    found = [extract(scan, config.assumed, config.features) for scan in scans]
+    extraction = alternate(scans, lambda scan: extract(scan, config.assumed, config.features))
     grid = Grid(config.grid, scene.radius)
     work = list(zip(places, scans, [features.walls for features in found], strict=True))
     grid.add(*work[0])

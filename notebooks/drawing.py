@@ -397,7 +397,7 @@ def worst_culled(run: Recording) -> Culled:
 
 def features_of(scan: Scan, config: Config) -> Features:
     """The features of a scan, extracted with a fixed seed."""
-    return extract(scan, config.assumed, config.features, np.random.default_rng(0))
+    return extract(scan, config.assumed, config.features)
 
 
 def record(config: Config) -> Recording:

@@ -9,6 +9,7 @@ import functools
 import math
 
 import numpy as np
+from predicted import ideal_wall
 from scanned import box
 
 from sixthsense.config import preset
@@ -40,16 +41,9 @@ def covariances(rng: np.random.Generator, count: int, sigmas: Array) -> Array:
     return np.einsum("i,kij,klj,l->kil", sigmas, root, root, sigmas)
 
 
-def seen(pose: Array, places: Array) -> Array:
-    """Bearings of places (B, 2) in the frame of the laser of a robot."""
-    off = (Pose.from_array(pose) @ Pose(*LASER["mount"])).inverse() @ places
-    return np.arctan2(off[:, 1], off[:, 0])
-
-
 def of_wall(pose: Array, start: Array, end: Array) -> Observation:
-    """An observation of the wall between two places; what it states of the wall is of no account."""
-    places = np.linspace(start, end, 12)
-    return Observation(Kind.WALL, np.array([0.4, -1.3]), np.diag([3e-4, 2e-4]), bearings=seen(pose, places))
+    """An observation of the wall between two places."""
+    return ideal_wall(Pose.from_array(pose), np.array([start, end]), np.diag([3e-4, 2e-4]))
 
 
 @functools.cache
@@ -99,13 +93,12 @@ def made_run() -> Trace:
 
 
 def _add_landmarks(trace: Trace, rng: np.random.Generator) -> None:
-    """Three walls and four points in mixed order; of two walls and of an end the returns are known."""
+    """Three walls and four points in mixed order; two walls and an end are observed."""
     tip = trace.key_truths[11]
     z = Pose.from_array(tip).inverse() @ np.array([[3.08, 1.62]])
-    returns = seen(tip, np.linspace([3.1, 1.55], [3.1, 1.2], 8))
     known = {
         2: {12: of_wall(trace.key_truths[2], np.array([2.3, 4.9]), np.array([3.4, 4.9]))},
-        11: {13: Observation(Kind.END, z[0], np.diag([1e-4, 2e-4]), bearings=returns)},
+        11: {13: Observation(Kind.END, z[0], np.diag([1e-4, 2e-4]))},
         15: {15: of_wall(trace.key_truths[15], np.array([6.2, 2.7]), np.array([6.2, 3.6]))},
     }
     for k, observations in known.items():

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Observation
 
 
 def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
@@ -46,3 +47,13 @@ def _axes(alpha: Array) -> tuple[Array, Array]:
     """(m, 2) normals of walls and (m, 2) directions, which are a quarter turn counter-clockwise of them."""
     c, s = np.cos(alpha), np.sin(alpha)
     return np.column_stack([c, s]), np.column_stack([-s, c])
+
+
+def ideal_wall(pose: Pose, ends: Array, cov: Array) -> Observation:
+    """The observation with `cov` (2, 2) of a wall between two places (2, 2) in the world, without an error."""
+    first, last = pose.inverse() @ ends
+    normal = np.array([first[1] - last[1], last[0] - first[0]]) / math.dist(first, last)
+    normal = -normal if normal @ first > 0.0 else normal  # towards the robot
+    along = np.array([-normal[1], normal[0]])
+    low, high = sorted((float(along @ first), float(along @ last)))
+    return Observation(Kind.WALL, np.array([math.atan2(normal[1], normal[0]), normal @ first]), cov, (low, high))

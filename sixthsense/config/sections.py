@@ -165,21 +165,15 @@ class PartitionConfig(Section):
 class SplitConfig(Section):
     """Second level: iterative end point fitting (report algorithm 1)."""
 
-    enabled: bool = True
-    """Off: RANSAC works on the first-level partitions."""
     epsilon_m: Positive = 0.06
     """A piece is split at its farthest point when that lies farther than this from the chord."""
 
 
 class LinesConfig(Section):
-    """Line fitting: RANSAC, then orthogonal least squares."""
+    """Line fitting by least squares, without returns that are far from the line."""
 
-    ransac_threshold_m: Positive = 0.05
-    """Greatest distance of an inlier from its line."""
-    ransac_iterations: PositiveCount = 20
-    """Pairs drawn per piece at most; stops early when all points are inliers."""
-    least_squares: bool = True
-    """Off: the line through RANSAC's best pair."""
+    threshold_m: Positive = 0.05
+    """Greatest distance of a return from its line."""
     min_points: Annotated[int, Field(ge=3)] = 6
     """A line needs this many inliers."""
     min_length_m: NonNegative = 0.2

@@ -15,9 +15,6 @@ from sixthsense.core.sensor import Sensor, SensorTerms
 
 LandmarkId = int
 
-_NO_BEARINGS = np.empty(0)
-_NO_BEARINGS.flags.writeable = False
-
 
 class Kind(enum.IntEnum):
     """Kind of a landmark: a point (x, y), or a wall, a line (alpha, d) with the points x cos alpha + y sin alpha = d.
@@ -45,9 +42,6 @@ class Observation:
     """(2, 2) of z"""
     extent: tuple[float, float] = (0.0, 0.0)
     """of a wall: first and last place that was seen, m along (-sin alpha, cos alpha) from the robot"""
-    bearings: Array = field(default_factory=lambda: _NO_BEARINGS, repr=False, compare=False)
-    """(B,) rad in the laser's frame, not wrapped, of the returns that the observation was fitted to; empty where they
-    are not known; for evaluation only, not recorded"""
     sensor: SensorTerms | None = field(default=None, repr=False, compare=False)
     """its dependence on the sensor's parameters, if these are estimated; not recorded"""
 

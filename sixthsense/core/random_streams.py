@@ -8,10 +8,9 @@ import numpy as np
 
 
 class RandomStreams(NamedTuple):
-    """A generator per stage, so that a replay repeats RANSAC alone, and another planner leaves the noise alone."""
+    """A generator per stage, so that another planner leaves the noise of the world alone."""
 
     world: np.random.Generator
-    ransac: np.random.Generator
     planner: np.random.Generator
     exploration: np.random.Generator
     walkers: np.random.Generator
@@ -19,4 +18,4 @@ class RandomStreams(NamedTuple):
 
 def random_streams(seed: int) -> RandomStreams:
     """Spawn the streams of a run from its seed."""
-    return RandomStreams(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)))
+    return RandomStreams(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)))

@@ -62,8 +62,7 @@ def calibrate(config: Config, samples: int = 100, on_sample: Callable[[], object
     """
     if samples < FEWEST_SAMPLES:
         raise InputError("samples", f"found {samples}", f"at least {FEWEST_SAMPLES}")
-    world_rng, drive_rng, ransac_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(3))
-    seed = int(ransac_rng.integers(2**31))
+    world_rng, drive_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
     walls, driven = drive_samples(config, samples, world_rng, drive_rng, on_sample)
     landmarks = true_landmarks(walls)
     # Points have known true positions, so the laser's noise is fitted to them; walls have the same noise.
@@ -71,11 +70,11 @@ def calibrate(config: Config, samples: int = 100, on_sample: Callable[[], object
     assumed = config.assumed
     with threadpool_limits(limits=1, user_api="blas"):  # as in the loop, for reproducibility
         motion, systematic = fit_motion(driven, assumed)
-        fitted = fit_laser(driven, landmarks, motion, config, seed)
+        fitted = fit_laser(driven, landmarks, motion, config)
         propagation = propagation_errors(driven, assumed), propagation_errors(driven, fitted)
         observations = (
-            landmark_errors(driven, landmarks, assumed, config, seed),
-            landmark_errors(driven, landmarks, fitted, config, seed),
+            landmark_errors(driven, landmarks, assumed, config),
+            landmark_errors(driven, landmarks, fitted, config),
         )
     return Calibration(fitted, systematic, propagation, observations)
 

@@ -151,7 +151,7 @@ def _consistency(trace: Trace) -> dict[str, float]:
 
 
 def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:
-    """NEES at the end of the landmarks whose true wall or point is known; nothing for a record without bearings."""
+    """NEES at the end of the landmarks whose true wall or point is known."""
     known = true_identities(scene.walls)
     laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
     identities = landmark_identities(

@@ -193,16 +193,13 @@ def _fit_scales(errors: Array, floor: Array, basis: Array, start: Array) -> Arra
 
 
 def landmark_errors(
-    samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config, seed: int
+    samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config
 ) -> LandmarkErrors:
     """Errors of the observations of each sample against the nearest true `landmarks` (M, 2) (report eq. 2)."""
-    rng = np.random.default_rng(seed)  # the same random numbers each time, so that only `assumed` differs
     kinds, errors, covs, false = [], [], [], 0
     for sample in samples:
-        true = predictions(sample.truth.triple(), landmarks, np.zeros(len(landmarks), dtype=np.bool_))[
-            0
-        ]  # (M, 2), robot frame
-        for observation in extract(sample.scan, assumed, config.features, rng).observations:
+        true, _, _ = predictions(sample.truth.triple(), landmarks, np.zeros(len(landmarks), dtype=np.bool_))  # robot
+        for observation in extract(sample.scan, assumed, config.features).observations:
             gaps = observation.z - true
             gap = gaps[np.argmin((gaps**2).sum(axis=1))] if len(gaps) else np.full(2, math.inf)
             if math.hypot(*gap) > _GATE_M:
@@ -214,17 +211,15 @@ def landmark_errors(
     return LandmarkErrors(np.array(kinds), np.array(errors).reshape(-1, 2), np.array(covs).reshape(-1, 2, 2), false)
 
 
-def fit_laser(
-    samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config, seed: int
-) -> AssumedConfig:
+def fit_laser(samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config) -> AssumedConfig:
     """`assumed` with the range noise at which the mean NEES of the observations is 2.
 
-    The range noise is bounded by the RANSAC threshold, since line fitting rejects returns beyond it; larger errors of
+    The range noise is bounded by the threshold of lines, since line fitting rejects returns beyond it; larger errors of
     observations go into `landmark_floor_m`. Raises InputError for too few observations.
     """
 
     def is_overconfident(changes: dict[str, Any]) -> bool:
-        found = landmark_errors(samples, landmarks, merge(assumed, changes), config, seed)
+        found = landmark_errors(samples, landmarks, merge(assumed, changes), config)
         return found.mean_nees > 2.0
 
     def crossing(low: float, high: float, changes: Callable[[float], dict[str, Any]]) -> float:
@@ -237,14 +232,14 @@ def fit_laser(
     def with_range(range_m: float) -> dict[str, Any]:
         return {"laser": {"range_m": range_m}, "landmark_floor_m": 0.0}
 
-    count = len(landmark_errors(samples, landmarks, assumed, config, seed).errors)
+    count = len(landmark_errors(samples, landmarks, assumed, config).errors)
     if count < FEWEST_SAMPLES:
         raise InputError(
             "scene",
             f"found {count} observations of landmarks in {len(samples)} scans",
             f"a place with at least {FEWEST_SAMPLES}",
         )
-    widest = max(config.features.lines.ransac_threshold_m, 2.0 * _FINEST_M)
+    widest = max(config.features.lines.threshold_m, 2.0 * _FINEST_M)
     if not is_overconfident(with_range(widest)):
         return merge(assumed, with_range(crossing(_FINEST_M, widest, with_range)))
     floor = crossing(_FINEST_M, _GATE_M, lambda floor_m: {**with_range(widest), "landmark_floor_m": floor_m})

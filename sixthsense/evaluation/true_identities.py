@@ -1,7 +1,7 @@
-"""The true identity of an observation: which wall or point of the scene its returns hit; for evaluation only.
+"""The true identity of an observation: which wall or point of the scene the laser sees there; for evaluation only.
 
-The returns decide, not the covariance that the observation states. An observation with a large covariance would
-otherwise agree with everything.
+Rays through the scene decide, not the covariance that the observation states. An observation with a large covariance
+would otherwise agree with everything.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig, LaserNoise
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import beam_angles
 from sixthsense.core.motion import variance
@@ -24,9 +25,14 @@ from sixthsense.evaluation.metrics import true_landmarks
 
 _SAME_RAD, _SAME_M = 1e-4, 1e-3  # tolerances of a segment to lie on a line
 
-# A beam beside a corner can hit the neighbouring wall although its return lies near the fitted line, on each side once.
-# So one or two foreign returns are no second wall. In a fit to many returns a tenth of them has little weight.
-_LEAST_RETURNS, _LEAST_SHARE = 3, 0.1
+_PLACES = 30
+"""along an observed wall, to which rays are cast"""
+_NEAR_M = 0.1
+"""of the observed line, at most, to the true wall that a ray hits: no other wall has given returns to the fit"""
+_LEAST_SHARE = 0.1
+"""of the places of an observed wall, on a line that counts: fewer have little weight in the fit, as beside a corner"""
+_BESIDE = 5
+"""beams on either side of an observed point, which show the walls that it is part of"""
 _SIGMAS = 3.0  # of the laser's noise, which a point may be off
 LEAST_COSINE = 0.02
 """of the incidence, as in the fit of a line"""
@@ -100,27 +106,16 @@ def identify(
 ) -> list[list[Identity]]:
     """What each observation of a scan truly is of, from the true pose of the robot at the scan's stamp.
 
-    The beams of the observation's returns are cast through the scene. A line counts if at least 3 returns and at least
-    10 % of them hit it; the faces of a wall stand in the order of their returns, more than one if it spans several. A
-    point is the nearest corner or end of the lines that its returns hit, as far away as the beam spacing and the
-    laser's noise allow. Empty for an observation of nothing in the scene, and for one without bearings. A de-skewed
-    scan is judged at its stamp: the error of the odometry over its sweep is neglected.
+    A wall: the faces that rays to places along it hit, if a tenth of the places lie on them, in the order of their
+    number; more than one if it spans several. A point: the nearest corner or end of the lines that rays beside it hit,
+    as far away as the beam spacing and the laser's noise allow. Empty for an observation of nothing in the scene. A
+    de-skewed scan is judged at its stamp: the error of the odometry over its sweep is neglected.
     """
     T_world_laser = T_world_robot @ Pose(*laser.config.mount)
-    counts = [len(observation.bearings) for observation in observations]
-    bearings = np.concatenate([np.empty(0), *(observation.bearings for observation in observations)])
-    _, segment = hit_walls(T_world_laser, bearings, scene.segments, laser.config.max_range)
-    found: list[list[Identity]] = []
-    for observation, past, count in zip(observations, np.cumsum(counts, dtype=np.int64).tolist(), counts, strict=True):
-        own = segment[past - count : past]
-        on = scene.line_of[own[own >= 0]]
-        if not len(on):
-            found.append([])
-        elif observation.is_wall:
-            found.append(_faces(on, count, T_world_laser.position, scene))
-        else:
-            found.append(_point(T_world_robot @ observation.z, on, T_world_laser, scene, laser))
-    return found
+    return [
+        (_faces if observation.is_wall else _point)(observation, T_world_robot, T_world_laser, scene, laser)
+        for observation in observations
+    ]
 
 
 def landmark_identities(
@@ -144,32 +139,48 @@ def landmark_identities(
     return identities
 
 
-def _faces(on: NDArray[np.int64], count: int, position: Array, scene: TrueLandmarks) -> list[Identity]:
-    """The faces with enough of the `count` returns, which lie on the lines `on` (B,), seen from a position (2,)."""
-    lines, returns = np.unique(on, return_counts=True)
-    order = np.argsort(-returns, kind="stable")
-    lines, returns = lines[order], returns[order]
-    lines = lines[(returns >= _LEAST_RETURNS) & (returns >= _LEAST_SHARE * count)]
+def _faces(
+    wall: Observation, T_world_robot: Pose, T_world_laser: Pose, scene: TrueLandmarks, laser: TrueLaser
+) -> list[Identity]:
+    first, last = T_world_robot @ np.asarray(line_ends(wall.z, *wall.extent))
+    places = np.linspace(first, last, _PLACES)
+    seen = T_world_laser.inverse() @ places
+    unit = seen / np.linalg.norm(seen, axis=1)[:, None]
+    ranges, segment = hit_walls(
+        T_world_laser, np.arctan2(unit[:, 1], unit[:, 0]), scene.segments, laser.config.max_range
+    )
+    hit = segment >= 0
+    # Of the places where the rays end, across the observed wall.
+    ends = T_world_robot.inverse() @ (T_world_laser @ (ranges[:, None] * unit)[hit])
+    is_near = np.abs(ends @ [math.cos(wall.z[0]), math.sin(wall.z[0])] - wall.z[1]) <= _NEAR_M
+    lines, count = np.unique(scene.line_of[segment[hit][is_near]], return_counts=True)
+    order = np.argsort(-count, kind="stable")
+    lines = lines[order][count[order] >= _LEAST_SHARE * _PLACES]
     normals = np.column_stack([np.cos(scene.lines[lines, 0]), np.sin(scene.lines[lines, 0])])
-    sides = np.where(normals @ position > scene.lines[lines, 1], "front", "back").tolist()
+    sides = np.where(normals @ T_world_laser.position > scene.lines[lines, 1], "front", "back").tolist()
     return list(zip(sides, lines.tolist(), strict=True))
 
 
 def _point(
-    position: Array, on: NDArray[np.int64], T_world_laser: Pose, scene: TrueLandmarks, laser: TrueLaser
+    point: Observation, T_world_robot: Pose, T_world_laser: Pose, scene: TrueLandmarks, laser: TrueLaser
 ) -> list[Identity]:
-    """What a point seen at `position` (2,), world frame, is of; its returns hit the lines `on` (B,)."""
-    lines = scene.lines[np.unique(on)]
+    position = T_world_robot @ point.z
+    x, y = T_world_laser.inverse() @ position
+    spacing_rad = float(beam_angles(laser.config)[1])
+    beside = math.atan2(y, x) + spacing_rad * (np.arange(2 * _BESIDE) - _BESIDE + 0.5)
+    _, segment = hit_walls(T_world_laser, beside, scene.segments, laser.config.max_range)
+    lines = scene.lines[np.unique(scene.line_of[segment[segment >= 0]])]
     normals = np.column_stack([np.cos(lines[:, 0]), np.sin(lines[:, 0])])
-    candidates = np.flatnonzero((np.abs(scene.points @ normals.T - lines[:, 1]) < 2.0 * _SAME_M).any(axis=1))
+    is_on = np.abs(scene.points @ normals.T - lines[:, 1]) < 2.0 * _SAME_M  # (P, L)
+    candidates = np.flatnonzero(is_on.any(axis=1))
     if not len(candidates):
         return []
     away = np.linalg.norm(scene.points[candidates] - position, axis=1)
-    reach = float(np.linalg.norm(position - T_world_laser.position))
+    own = is_on[candidates[away.argmin()]]
+    reach = math.hypot(x, y)
     # The wall of a line that is met flatter is sampled more sparsely.
-    cosine = np.maximum(np.abs(normals @ T_world_laser.position - lines[:, 1]) / max(reach, 1e-9), LEAST_COSINE)
-    along = reach / float(cosine.min())
+    cosine = np.abs(normals[own] @ T_world_laser.position - lines[own, 1]) / max(reach, 1e-9)
+    along = reach / max(float(cosine.min()), LEAST_COSINE)
     range_m, bearing_rad = laser.sigmas
-    spacing_rad = float(beam_angles(laser.config)[1])
     limit = spacing_rad * along + _SIGMAS * math.hypot(range_m, bearing_rad * along)
     return [] if away.min() > limit else [("point", int(candidates[away.argmin()]))]

@@ -18,7 +18,6 @@ from sixthsense.config.tree import check_returned, part_of
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Closure
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
@@ -151,7 +150,7 @@ class LandmarkFrontEnd:
 def landmark_front_end(setup: FrontEndSetup) -> LandmarkFrontEnd:
     """The front end of landmarks, with a guide where the configuration wants matches to be proposed."""
     config, estimator, start, associator, _, clock = setup
-    extractor: Extractor = part_of(config, EXTRACTORS).make(config.assumed, random_streams(config.seed).ransac)
+    extractor: Extractor = part_of(config, EXTRACTORS).make(config.assumed)
     guide = None
     if config.association.proposed_by == "scan-matching":
         from sixthsense.slam.estimators.isam2 import ISAM2

@@ -13,7 +13,6 @@ from sixthsense.config.tree import make_part
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.random_streams import random_streams
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.simulation.world import World
@@ -46,7 +45,7 @@ _FALSE_ALARM = 1e-3
 def extractor_of(part: Any, config: Config) -> Extractor:
     """An extractor by its name or its class."""
     options = config.features if part == "lines" else None
-    made: Extractor = make_part(EXTRACTORS, part, config.assumed, random_streams(4).ransac, options=options)
+    made: Extractor = make_part(EXTRACTORS, part, config.assumed, options=options)
     return made
 
 

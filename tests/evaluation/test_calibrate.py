@@ -79,9 +79,7 @@ def test_drift_of_unequal_wheels_is_estimated() -> None:
 
 
 def test_errors_beyond_the_range_noise_go_into_the_landmark_floor() -> None:
-    one = calibrate(
-        preset(**COARSE, world={"laser": {"bearing_rad": 0.03}}, features={"lines": {"ransac_threshold_m": 0.02}})
-    )
+    one = calibrate(preset(**COARSE, world={"laser": {"bearing_rad": 0.03}}, features={"lines": {"threshold_m": 0.02}}))
     assert one.assumed.laser.range_m == 0.02
     assert one.assumed.landmark_floor_m > 0.0
     assert one.landmarks[1].mean_nees == pytest.approx(2.0, abs=0.2)

@@ -11,7 +11,6 @@ from scipy.linalg import logm
 
 from sixthsense.config import merge
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Observation
 from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import curves, scan_covariances
@@ -145,15 +144,6 @@ def test_landmarks_are_judged_by_the_side_of_a_wall_that_was_seen_and_by_points_
     nearest = [min(math.dist(point, corner) for corner in CORNERS) for point in points]
     assert nearest[3] > 0.5 > max(nearest[:3])
     assert found["landmark_rmse_m"] == pytest.approx(rms(nearest[:3]))
-
-
-def test_without_the_returns_of_the_observations_no_landmarks_truth_is_known():
-    bare = [
-        {i: dataclasses.replace(s, bearings=np.empty(0)) for i, s in a.observations.items()} for a in TRACE.associations
-    ]
-    rows = [dataclasses.replace(a, observations=s) for a, s in zip(TRACE.associations, bare, strict=True)]
-    assert any(isinstance(s, Observation) for one in bare for s in one.values())
-    assert "landmark_nees_mean" not in measure(dataclasses.replace(TRACE, associations=rows))
 
 
 def visible(poses, centres):

@@ -1,12 +1,11 @@
 """What an observation truly is of, in scenes in which it can be of two walls.
 
-An observation here is an ideal one unless it is extracted from a simulated scan: its returns are given by where they
-hit.
+An observation here is an ideal one unless it is extracted from a simulated scan.
 """
 
 import numpy as np
 import pytest
-from predicted import predict_points
+from predicted import ideal_wall, predict_points
 
 from sixthsense.config import Config, LaserConfig, LaserNoise, merge
 from sixthsense.core.geometry import Pose
@@ -29,26 +28,14 @@ SCENE = true_identities(WALLS)
 BELOW, ABOVE = Pose(1.5, 0.8, 0.4), Pose(1.5, 2.2, -0.3)
 
 
-def bearings_of(pose, places):
-    """Bearings from the laser of a robot to places (B, 2) in the world."""
-    seen, _, _ = predict_points(pose @ Pose(*MOUNT), np.asarray(places, dtype=float))
-    return np.arctan2(seen[:, 1], seen[:, 0])
+def wall(pose, first, last, cov=COV):
+    """An observation of a wall from one place in the world to another."""
+    return ideal_wall(pose, np.array([first, last], dtype=float), cov)
 
 
-def between(a, b, count):
-    """Places (count, 2) spread evenly from a to b, without the ends."""
-    return np.linspace(a, b, count + 2)[1:-1]
-
-
-def wall(pose, places, cov=COV):
-    """An observation of a wall by returns at places (B, 2); what it states of the wall is of no account."""
-    return Observation(Kind.WALL, np.array([0.1, -1.0]), cov, (-0.5, 0.5), bearings_of(pose, places))
-
-
-def end(pose, position, inwards, cov=COV):
-    """An observation of a free end at `position` by five returns beside it, up to `inwards`."""
-    z = predict_points(pose, np.array([position], dtype=float))[0][0]
-    return Observation(Kind.END, z, cov, bearings=bearings_of(pose, between(position, inwards, 5)))
+def end(pose, position, cov=COV):
+    """An observation of a free end at a position in the world."""
+    return Observation(Kind.END, predict_points(pose, np.array([position], dtype=float))[0][0], cov)
 
 
 def faces(observation, pose, scene=SCENE):
@@ -57,23 +44,23 @@ def faces(observation, pose, scene=SCENE):
 
 
 def test_the_sides_of_a_thin_wall_are_two_identities():
-    (below,) = faces(wall(BELOW, between([1.0, 1.5], [2.0, 1.5], 20)), BELOW)
-    (above,) = faces(wall(ABOVE, between([1.0, 1.5], [2.0, 1.5], 20)), ABOVE)
+    (below,) = faces(wall(BELOW, [1.0, 1.5], [2.0, 1.5]), BELOW)
+    (above,) = faces(wall(ABOVE, [1.0, 1.5], [2.0, 1.5]), ABOVE)
     assert below != above and below[1] == above[1]
 
 
-def test_the_identity_of_a_point_is_the_end_of_the_wall_that_its_returns_hit():
-    left, right = (faces(end(BELOW, p, (1.5, 1.5)), BELOW) for p in ((1.0, 1.5), (2.0, 1.5)))
+def test_the_identity_of_a_point_is_the_end_of_the_wall_that_is_seen_beside_it():
+    left, right = (faces(end(BELOW, p), BELOW) for p in ((1.0, 1.5), (2.0, 1.5)))
     assert len(left) == len(right) == 1 and left != right
-    assert faces(end(BELOW, (2.03, 1.5), (1.5, 1.5)), BELOW) == right
-    assert faces(end(BELOW, (2.1, 1.6), (1.5, 1.5)), BELOW) == []
+    assert faces(end(BELOW, (2.03, 1.5)), BELOW) == right
+    assert faces(end(BELOW, (2.1, 1.6)), BELOW) == []
 
 
 def test_a_landmark_is_what_most_of_its_observations_are_of_and_nothing_if_most_are_of_several_walls():
     step = np.array([[[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.05], [4.0, 0.05]]])
     scene, pose = true_identities(step), Pose(2.0, 1.5, -1.0)
-    near, far = between([0.2, 0.0], [1.9, 0.0], 30), between([2.1, 0.05], [3.8, 0.05], 30)
-    first, second, both = (wall(pose, places) for places in (near, far, np.concatenate([near, far])))
+    first, second = wall(pose, [0.2, 0.0], [1.9, 0.0]), wall(pose, [2.1, 0.05], [3.8, 0.05])
+    both = wall(pose, [0.2, 0.0], [3.8, 0.05])
     scans = [{3: first, 4: first, 5: first}, {3: second, 4: both, 5: second}, {3: second, 4: both}]
     found = landmark_identities(scans, np.array([pose.array()] * 3), scene, LASER)
     assert [found] == [{3: face} for face in faces(second, pose, scene)]
@@ -98,27 +85,29 @@ def test_every_observation_in_a_convex_room_with_right_angles_is_of_one_wall_or_
         ranges = cast_rays(pose @ Pose(*MOUNT), bearings, walls, config.laser.max_range)
         scan = Scan.from_config(ranges + rng.normal(0.0, config.world.laser.range_m, len(ranges)), config.laser)
         scene = true_identities(walls)
-        for one in identify(extract(scan, config.assumed, features, rng).observations, pose, scene, LASER):
+        for one in identify(extract(scan, config.assumed, features).observations, pose, scene, LASER):
             observations += 1
             assert len(one) == 1
     assert observations > 400
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "expected"),
-    [(20, 2, 1), (20, 3, 2), (40, 4, 1), (40, 5, 2), (2, 2, 0)],
-)
-def test_a_second_wall_counts_from_three_returns_and_a_tenth_of_them_on(one, other, expected):
-    """A wall of two pieces half a metre apart."""
-    step = np.array([[[0.3, 0.2], [2.3, 0.2]], [[2.3, -0.3], [4.3, -0.3]]])
+@pytest.mark.parametrize(("last_x", "expected"), [(2.35, 1), (2.9, 2)])
+def test_a_second_wall_counts_from_a_tenth_of_the_observed_one_on(last_x, expected):
+    """A wall with a step of 0.06 m."""
+    step = np.array([[[0.3, 0.2], [2.3, 0.2]], [[2.3, 0.14], [4.3, 0.14]]])
     pose = Pose(2.4, 2.1, -1.1)
-    places = np.concatenate([between([0.5, 0.2], [2.0, 0.2], one), between([2.8, -0.3], [4.0, -0.3], other)])
-    assert len(faces(wall(pose, places), pose, true_identities(step))) == expected
+    assert len(faces(wall(pose, [0.5, 0.2], [last_x, 0.2]), pose, true_identities(step))) == expected
+
+
+def test_what_is_seen_through_a_gap_in_a_wall_is_no_part_of_it():
+    gap = np.array([[[0.3, 0.2], [1.3, 0.2]], [[2.3, 0.2], [4.3, 0.2]], [[0.0, -1.5], [4.0, -1.5]]])
+    pose, scene = Pose(2.4, 2.1, -1.1), true_identities(gap)
+    assert faces(wall(pose, [0.4, 0.2], [4.0, 0.2]), pose, scene) == [("front", int(scene.line_of[0]))]
 
 
 def test_what_is_out_of_range_is_not_hit_and_a_uniform_noise_has_the_sigma_of_its_half_width():
-    places, far = between([6.3, 0.0], [8.7, 0.0], 9), Pose(7.3, 11.5, 2.2)
-    assert len(faces(wall(Pose(7.3, 1.9, 2.2), places), Pose(7.3, 1.9, 2.2))) == 1
-    assert faces(wall(far, places), far) == []
+    near, far = Pose(7.3, 1.9, 2.2), Pose(7.3, 11.5, 2.2)
+    assert len(faces(wall(near, [6.3, 0.0], [8.7, 0.0]), near)) == 1
+    assert faces(wall(far, [6.3, 0.0], [8.7, 0.0]), far) == []
     half_widths = TrueLaser(LaserConfig(), LaserNoise(distribution="uniform", range_m=0.03, bearing_rad=0.006))
     assert half_widths.sigmas == pytest.approx((0.03 / 3**0.5, 0.006 / 3**0.5))

@@ -150,9 +150,9 @@ def test_a_change_of_planner_leaves_the_noise_alone() -> None:
         config = preset(scene="rectangle", planner=planner, max_time=0.3, rrtstar={"iterations": 50})
         run(config, lambda tick, _, seen=seen: seen.append(tick.scan.ranges) if tick.scan is not None else None)
     assert np.array_equal(scans["astar"][0], scans["rrtstar"][0])
-    world, ransac = (np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2))
+    world, planner = (np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2))
     streams = random_streams(7)
-    assert [rng.random() for rng in streams[:2]] == [world.random(), ransac.random()]
+    assert [rng.random() for rng in streams[:2]] == [world.random(), planner.random()]
 
 
 def test_a_planner_draws_one_seed_from_its_stream_however_often_it_plans() -> None:

@@ -17,9 +17,9 @@ class LongWalls:
         least_m: float = 1.0
         """Length of the shortest wall that is used, m."""
 
-    def __init__(self, assumed, rng, options):
+    def __init__(self, assumed, options):
         self.least_m = options.least_m
-        self.lines = LineExtractor(assumed, rng, FeaturesConfig(landmarks="walls"))
+        self.lines = LineExtractor(assumed, FeaturesConfig(landmarks="walls"))
 
     def extract(self, scan):
         found = self.lines.extract(scan)

@@ -210,5 +210,4 @@ def fused(first: Observation, second: Observation) -> Observation:
     z = np.array([alpha, math.cos(alpha) * centre[0] + math.sin(alpha) * centre[1] + shift - lever * turn])
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
-    bearings = np.concatenate([first.bearings, second.bearings])
-    return Observation(first.kind, z, 0.5 * (cov + cov.T), extent, bearings)
+    return Observation(first.kind, z, 0.5 * (cov + cov.T), extent)

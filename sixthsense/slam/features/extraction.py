@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -48,30 +47,28 @@ NO_FEATURES = Features(np.zeros((0, 2, 2)), (), (), ())
 NO_FEATURES.walls.flags.writeable = False
 
 
-def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.random.Generator) -> Features:
-    """Extract walls and landmarks from a scan; `assumed` is the estimator's noise model, `rng` seeds RANSAC."""
-    noise = assumed.laser
-    seed = int(rng.integers(1, 2**31 - 2))
+def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig) -> Features:
+    """Extract walls and landmarks from a scan; `assumed` is the estimator's noise model."""
+    noise, mount = assumed.laser, scan.T_robot_laser
     sigmas = LaserSigmas(
         math.sqrt(variance(noise.distribution, noise.range_m)),
         math.sqrt(variance(noise.distribution, noise.bearing_rad)),
     )
     offset, rolled = _partitioned(scan, sigmas.range_m, config)
-    epsilon = config.split.epsilon_m if config.split.enabled else math.inf
-    spans, piece_of_span = split_pieces(rolled.points, rolled.pieces, rolled.cyclic, epsilon, config.lines.min_points)
-    lines, where, owner = fit_lines(rolled.points, spans, _line_rules(config), sigmas, seed)
+    spans, piece_of_span = split_pieces(
+        rolled.points, rolled.pieces, rolled.cyclic, config.split.epsilon_m, config.lines.min_points
+    )
+    lines, where, owner = fit_lines(rolled.points, spans, _line_rules(config), sigmas)
     fitted = FittedLines(lines, np.ascontiguousarray(where[:, 1:]), piece_of_span[where[:, 0]], owner)
-    mount = scan.T_robot_laser
+    rules = _endpoint_rules(scan, config)
     observations: list[Observation] = []
     if config.landmarks == "corners":
-        kinds, found, used, of_points = find_points(rolled, fitted, _endpoint_rules(scan, config), sigmas)
-        bearings = rolled.bearings[used]
+        kinds, found = find_points(rolled, fitted, rules, sigmas)
     else:
-        rules = _endpoint_rules(scan, config)
-        walls, found, used, of_walls, of_points = find_walls(rolled, fitted, rules, sigmas)
-        kinds, bearings = np.full(len(found), Kind.END), rolled.bearings[used]
-        observations = _wall_observations(walls, _slices(bearings, of_walls), mount, assumed, config)
-    observations += _point_observations(kinds, found, _slices(bearings, of_points), mount, assumed, config)
+        walls, found = find_walls(rolled, fitted, rules, sigmas)
+        kinds = np.full(len(found), Kind.END)
+        observations = _wall_observations(walls, mount, assumed)
+    observations += _point_observations(kinds, found, mount, assumed, config)
     beams = np.roll(np.arange(len(scan.ranges)), -offset)
     return Features(
         mount @ _clip(rolled.points, fitted),
@@ -102,21 +99,18 @@ class LineExtractor:
 
     Options = FeaturesConfig
 
-    def __init__(self, assumed: AssumedConfig, rng: np.random.Generator, options: FeaturesConfig) -> None:
-        """RANSAC draws from `rng`."""
-        self._assumed, self._rng, self._options = assumed, rng, options
+    def __init__(self, assumed: AssumedConfig, options: FeaturesConfig) -> None:
+        self._assumed, self._options = assumed, options
 
     def extract(self, scan: Scan) -> Features:
         """Extract walls and landmarks from a scan."""
-        return extract(scan, self._assumed, self._options, self._rng)
+        return extract(scan, self._assumed, self._options)
 
 
 def _line_rules(config: FeaturesConfig) -> LineRules:
     lines = config.lines
     return LineRules(
-        lines.ransac_threshold_m,
-        lines.ransac_iterations,
-        lines.least_squares,
+        lines.threshold_m,
         lines.min_points,
         lines.min_length_m,
         lines.cut_false_alarm,
@@ -130,32 +124,18 @@ def _endpoint_rules(scan: Scan, config: FeaturesConfig) -> EndpointRules:
         points.max_gap_m,
         scan.max_range,
         points.min_points,
-        config.lines.ransac_threshold_m,
+        config.lines.threshold_m,
     )
-
-
-def _slices(bearings: Array, spans: Indices) -> list[Array]:
-    """The parts of `bearings` (U,) that the rows of `spans` (K, 2), first and past-last place, select."""
-    return [bearings[a:b] for a, b in spans.tolist()]
 
 
 def _point_observations(
-    kinds: Indices,
-    found: Array,
-    bearings: Sequence[Array],
-    mount: Pose,
-    assumed: AssumedConfig,
-    config: FeaturesConfig,
+    kinds: Indices, found: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
 ) -> list[Observation]:
-    """Observations in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit.
-
-    `bearings` holds those of the returns of each point.
-    """
+    """Observations in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit."""
     z, cov, is_certain = _points_from(
         found, (mount.x, mount.y, mount.theta), assumed.landmark_floor_m**2, config.points.max_sigma_m**2
     )
-    certain = np.flatnonzero(is_certain).tolist()
-    return [Observation(Kind(int(kinds[k])), z[k], cov[k], bearings=bearings[k]) for k in certain]
+    return [Observation(Kind(int(kinds[k])), z[k], cov[k]) for k in np.flatnonzero(is_certain).tolist()]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -176,21 +156,12 @@ def _points_from(found: Array, mount: Triple, floor: float, most: float) -> tupl
     return z, cov, is_certain
 
 
-def _wall_observations(
-    walls: Array, bearings: Sequence[Array], mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
-) -> list[Observation]:
-    """Observations in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser.
-
-    `bearings` holds those of the returns of each wall.
-    """
-    observations = []
+def _wall_observations(walls: Array, mount: Pose, assumed: AssumedConfig) -> list[Observation]:
+    """Observations in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser."""
     floors = assumed.wall_floor_rad**2, assumed.landmark_floor_m**2
     z, cov, extents = _walls_from(walls, (mount.x, mount.y, mount.theta), floors)
-    for k, own in enumerate(bearings):
-        if walls[k, 2] <= _MAX_WALL_SIGMA_RAD**2:
-            extent = float(extents[k, 0]), float(extents[k, 1])
-            observations.append(Observation(Kind.WALL, z[k], cov[k], extent, own))
-    return observations
+    certain = np.flatnonzero(walls[:, 2] <= _MAX_WALL_SIGMA_RAD**2).tolist()
+    return [Observation(Kind.WALL, z[k], cov[k], (float(extents[k, 0]), float(extents[k, 1]))) for k in certain]
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -14,8 +14,8 @@ from sixthsense.slam.features.extraction import Features
 class Extractor(Protocol):
     """Finds landmarks in a scan.
 
-    It is made with the noise that the estimator assumes, an `AssumedConfig`, the run's `numpy.random.Generator` for
-    features, and with an object of its `Options`, if it has any.
+    It is made with the noise that the estimator assumes, an `AssumedConfig`, and with an object of its `Options`, if it
+    has any.
 
     1. Observations are in the robot's frame, m and rad, in which `scan.T_robot_laser` is the laser's pose. `z` of a
        point is (x, y), of a wall (alpha, d), the direction of its normal and its distance from the robot.
@@ -23,7 +23,7 @@ class Extractor(Protocol):
        errors are. What is off in the same way at each look, as a wall that is not straight, is part of it.
     3. Errors of the observations of a scan are independent: a return is evidence once.
     4. A scan in which it finds nothing has no observations; that is no error.
-    5. The same scans and generator give the same bits, and the scan stays as it is.
+    5. The same scans give the same bits, and the scan stays as it is.
     """
 
     def extract(self, scan: Scan) -> Features:

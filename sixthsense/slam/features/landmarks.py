@@ -41,83 +41,55 @@ _MIN_LENGTH_M = 0.4
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fit_sides(
-    points: Array, lines: FittedLines, endpoint_type: Indices, sigmas: LaserSigmas
-) -> tuple[Array, Indices, Indices]:
-    """(L, 2, 5) fits of each line for the landmark at its first and at its last return; NaN where there is none.
-
-    The two fits of a line share no return. Also returns (U,) the returns of all lines, and (L, 2, 2) first and
-    past-last place in that array of those of each fit.
-    """
-    sides = np.full((len(lines.fits), 2, 5), np.nan)
-    used, u = np.empty(len(lines.owner), np.int64), 0
-    of_sides = np.zeros((len(lines.fits), 2, 2), np.int64)
-    for j in range(len(lines.fits)):
-        owned = np.flatnonzero(lines.owner == j)
-        owned = clear_of_corners(points, owned, j, lines.fits, endpoint_type, sigmas.range_m)
-        both = endpoint_type[j, 0] != UNDECIDED and endpoint_type[j, 1] != UNDECIDED
-        middle = len(owned) // 2 if both else -1
-        for k in range(len(owned)):
-            used[u + k] = owned[k]
-        for side in range(2):
-            half = owned
-            if middle >= 0:
-                half = owned[:middle] if side == 0 else owned[middle:]
-            begin = u + (middle if middle >= 0 and side == 1 else 0)
-            of_sides[j, side, 0], of_sides[j, side, 1] = begin, begin + len(half)
-            if endpoint_type[j, side] != UNDECIDED and len(half) >= 3:
-                fit = fit_line(points, half, sigmas)
-                for k in range(5):
-                    sides[j, side, k] = fit[k]
-        u += len(owned)
-    return sides, used[:u], of_sides
+def _write(into: NDArray[Any], at: int, values: NDArray[Any]) -> None:
+    """Copy `values` (n,) to places `at` and on: a loop makes a kernel that loads faster than a slice does."""
+    for k in range(len(values)):
+        into[at + k] = values[k]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _append(used: Indices, u: int, returns: Indices, span: Indices) -> int:
-    """Copy `returns` from the first to before the last index in `span` (2,) to `used` at `u`; returns the next u."""
-    count: int = span[1] - span[0]
-    for k in range(count):
-        used[u + k] = returns[span[0] + k]
-    return u + count
+def _fit_sides(points: Array, lines: FittedLines, endpoint_type: Indices, sigmas: LaserSigmas) -> Array:
+    """(L, 2, 5) fits of each line for the landmark at its first and at its last return; NaN where there is none.
+
+    The two fits of a line share no return.
+    """
+    sides = np.full((len(lines.fits), 2, 5), np.nan)
+    for j in range(len(lines.fits)):
+        owned = np.flatnonzero(lines.owner == j)
+        owned = clear_of_corners(points, owned, j, lines.fits, endpoint_type, sigmas.range_m)
+        has_both = endpoint_type[j, 0] != UNDECIDED and endpoint_type[j, 1] != UNDECIDED
+        middle = len(owned) // 2
+        for side in range(2):
+            half = owned
+            if has_both:
+                half = owned[:middle] if side == 0 else owned[middle:]
+            if endpoint_type[j, side] != UNDECIDED and len(half) >= 3:
+                _write(sides[j, side], 0, fit_line(points, half, sigmas))
+    return sides
 
 
 @numba.njit(cache=True, error_model="numpy")
 def find_points(
     scan: RolledScan, lines: FittedLines, rules: EndpointRules, sigmas: LaserSigmas
-) -> tuple[Indices, Array, Indices, Indices]:
-    """Corners and free ends of one scan.
-
-    Returns (K,) kinds; (K, 5) x, y, xx, xy, yy in the laser's frame, metres; (U,) the returns that were used; and
-    (K, 2) first and past-last place in that array of those of each point.
-    """
+) -> tuple[Indices, Array]:
+    """Corners and free ends of one scan: (K,) kinds; (K, 5) x, y, xx, xy, yy in the laser's frame, metres."""
     count, spacing = len(lines.fits), mean_spacing(scan.bearings)
     endpoint_type = np.full((count, 2), UNDECIDED, np.int64)
     mark_corners(scan, lines, rules, endpoint_type)
     mark_free_ends(scan, lines, rules, endpoint_type)
-    sides, of_lines, of_sides = _fit_sides(scan.points, lines, endpoint_type, sigmas)
-    kinds = np.empty(2 * count, np.int64)
-    found = np.empty((2 * count, 5))
-    used, of_points = np.empty(len(of_lines), np.int64), np.empty((2 * count, 2), np.int64)
-    k = u = 0
+    sides = _fit_sides(scan.points, lines, endpoint_type, sigmas)
+    kinds, found, k = np.empty(2 * count, np.int64), np.empty((2 * count, 5)), 0
     for j in range(count):
-        if endpoint_type[j, 1] >= 0:
-            after = endpoint_type[j, 1]
+        after = endpoint_type[j, 1]
+        if after >= 0:
             kinds[k], found[k] = CORNER, intersect(sides[j, 1], sides[after, 0])
-            begin = u
-            u = _append(used, u, of_lines, of_sides[j, 1])
-            u = _append(used, u, of_lines, of_sides[after, 0])
-            of_points[k, 0], of_points[k, 1] = begin, u
             k += 1
         for side, step in ((0, -spacing), (1, spacing)):
             if endpoint_type[j, side] == FREE_END:
                 bearing = scan.bearings[lines.ends[j, side]]
                 kinds[k], found[k] = END, free_end(sides[j, side], bearing, step, sigmas.bearing_rad)
-                begin = u
-                u = _append(used, u, of_lines, of_sides[j, side])
-                of_points[k, 0], of_points[k, 1] = begin, u
                 k += 1
-    return kinds[:k].copy(), found[:k].copy(), used[:u].copy(), of_points[:k].copy()
+    return kinds[:k].copy(), found[:k].copy()
 
 
 # A return of the neighbouring wall lies within the threshold of this line with a probability of threshold over
@@ -147,24 +119,14 @@ def _trim_ambiguous_ends(points: Array, index: Indices, at_first: bool, at_last:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _write(into: NDArray[Any], at: int, values: NDArray[Any]) -> None:
-    """Copy `values` (n,) to places `at` and on: a loop makes a kernel that loads faster than a slice does."""
-    for k in range(len(values)):
-        into[at + k] = values[k]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def find_walls(
-    scan: RolledScan, lines: FittedLines, rules: EndpointRules, sigmas: LaserSigmas
-) -> tuple[Array, Array, Indices, Indices, Indices]:
+def find_walls(scan: RolledScan, lines: FittedLines, rules: EndpointRules, sigmas: LaserSigmas) -> tuple[Array, Array]:
     """Walls and free ends of one scan, all in the laser's frame, metres and radians.
 
     A free end takes the last `END_RETURNS` on its side. Its wall takes all others, except those near a corner and, on a
     side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that of
     its wall. Walls shorter than `_MIN_LENGTH_M` are left out.
-    Returns (W, 7) alpha, d, aa, ad, dd, and the first and last place along the wall that was seen; (E, 5)
-    x, y, xx, xy, yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall
-    (W, 2) and of each free end (E, 2).
+    Returns (W, 7) alpha, d, aa, ad, dd, and the first and last place along the wall that was seen; and (E, 5)
+    x, y, xx, xy, yy.
     """
     count, spacing = len(lines.fits), mean_spacing(scan.bearings)
     corners = np.full((count, 2), UNDECIDED, np.int64)
@@ -174,9 +136,7 @@ def find_walls(
         mark_free_ends(scan, lines, rules, ends)
     points = scan.points
     walls, found = np.empty((count, 7)), np.empty((2 * count, 5))
-    used = np.empty(len(lines.owner), np.int64)
-    of_walls, of_ends = np.empty((count, 2), np.int64), np.empty((2 * count, 2), np.int64)
-    w = e = u = 0
+    w = e = 0
     for j in range(count):
         owned = clear_of_corners(points, np.flatnonzero(lines.owner == j), j, lines.fits, corners, sigmas.range_m)
         at_first = ends[j, 0] == FREE_END and len(owned) >= 2 * END_RETURNS
@@ -196,9 +156,6 @@ def find_walls(
             if len(of_end):
                 across = parallel_line(points, of_end, fit, sigmas)
                 _write(found[e], 0, free_end(across, scan.bearings[lines.ends[j, side]], step, sigmas.bearing_rad))
-                _write(used, u, of_end)
-                of_ends[e, 0], of_ends[e, 1] = u, u + len(of_end)
-                u += len(of_end)
                 e += 1
         c, s = math.cos(fit[0]), math.sin(fit[0])
         first, last = lines.ends[j, 0], lines.ends[j, 1]
@@ -206,8 +163,5 @@ def find_walls(
         if abs(b - a) >= _MIN_LENGTH_M:
             _write(walls[w], 0, fit)
             walls[w, 5], walls[w, 6] = min(a, b), max(a, b)
-            _write(used, u, owned)
-            of_walls[w, 0], of_walls[w, 1] = u, u + len(owned)
-            u += len(owned)
             w += 1
-    return walls[:w].copy(), found[:e].copy(), used[:u].copy(), of_walls[:w].copy(), of_ends[:e].copy()
+    return walls[:w].copy(), found[:e].copy()

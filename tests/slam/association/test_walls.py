@@ -64,7 +64,7 @@ def test_the_walls_of_a_room_are_observed_with_their_true_errors():
     truth = np.array([[math.pi / 2, -2.0], [math.pi, -3.0], [-math.pi / 2, -2.0], [0.0, -3.0]])
     for _ in range(60):
         pose = Pose(*rng.uniform([-1.5, -1.0, -math.pi], [1.5, 1.0, math.pi]))
-        found = extract(look(pose, ROOM, sigma=0.01, rng=rng), config.assumed, config.features, rng).observations
+        found = extract(look(pose, ROOM, sigma=0.01, rng=rng), config.assumed, config.features).observations
         assert len(found) >= 4 and all(s.is_wall and s.z[1] < 0.0 for s in found)
         z, _, _ = predict_walls(pose, truth)
         for s in found:
@@ -107,7 +107,7 @@ def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, w
     walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
     z = predict_walls(pose, np.array([wall]))[0][0]
     for _ in range(60):
-        for s in extract(look(pose, walls, config.laser, 0.01, rng), config.assumed, config.features, rng).observations:
+        for s in extract(look(pose, walls, config.laser, 0.01, rng), config.assumed, config.features).observations:
             turn = wrap_angle(float(s.z[0] - z[0]))
             if s.is_wall and abs(turn) < 0.1 and abs(s.z[1] - z[1]) < 0.3:
                 turns.append(turn / math.sqrt(s.cov[0, 0]))

@@ -81,9 +81,7 @@ def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instantaneous_one(lan
     for speed, turn_rate in ((0.5, 0.0), (0.2, 0.8), (0.2, -0.8)):
         _, moved, truth = last_scan(config, speed, turn_rate)
         instant = look(truth, ROOM, config.laser.replaced(sweep_s=0.0))
-        one, two = (
-            extract(s, ASSUMED, config.features, np.random.default_rng(0)).observations for s in (moved, instant)
-        )
+        one, two = (extract(s, ASSUMED, config.features).observations for s in (moved, instant))
         for observation in one:
             assert any(
                 s.kind == observation.kind

@@ -14,7 +14,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
-from sixthsense.slam.features.lines import ransac
+from sixthsense.slam.features.lines import LineRules, fit_lines
 from sixthsense.slam.features.partition import partition, split, split_pieces
 
 
@@ -102,16 +102,17 @@ def test_the_spans_of_all_pieces_are_those_of_one_piece_after_the_other(epsilon)
         assert [(a, b, p) for (a, b), p in zip(spans.tolist(), owners.tolist(), strict=True)] == expected
 
 
-def test_ransac_finds_the_line_among_outliers_and_is_repeatable():
-    rng = np.random.default_rng(1)
-    for seed in range(1, 30):
+def test_a_line_is_fitted_without_the_returns_that_are_far_from_it():
+    rng, rules = np.random.default_rng(1), LineRules(0.02, 6, 0.2, 0.0)
+    for _ in range(30):
         alpha, d = rng.uniform(-math.pi, math.pi), rng.uniform(0.5, 4.0)
         n, t = np.array([math.cos(alpha), math.sin(alpha)]), np.array([-math.sin(alpha), math.cos(alpha)])
-        inliers = d * n + rng.uniform(-2, 2, (40, 1)) * t + rng.normal(0, 0.005, (40, 1)) * n
-        points = np.concatenate([inliers, rng.uniform(-5, 5, (20, 2))])
-        found = ransac(points, np.ones(60, dtype=bool), 0.02, 500, seed)
-        assert abs(wrap_angle(found[0] - alpha)) < 0.05 and abs(found[1] - d) < 0.1 and found[2] >= 36
-        assert np.array_equal(found, ransac(points, np.ones(60, dtype=bool), 0.02, 500, seed))
+        points = d * n + np.linspace(-2, 2, 40)[:, None] * t + rng.normal(0, 0.004, (40, 1)) * n
+        far = rng.choice(40, 3, replace=False)
+        points[far] += 0.05 * n
+        lines, where, owner = fit_lines(points, np.array([[0, 40]]), rules, LaserSigmas(0.004, 0.0))
+        assert len(lines) == len(where) == 1 and set(np.flatnonzero(owner < 0)) >= set(far)
+        assert abs(wrap_angle(lines[0, 0] - alpha)) < 0.004 and abs(lines[0, 1] - d) < 0.004
 
 
 def total_least_squares(points):
@@ -190,7 +191,7 @@ def test_a_free_end_lies_half_a_spacing_beyond_the_last_beam_with_the_sigma_of_a
 
 def observations_and_truth(config, rng, poses, sigma):
     for pose in poses:
-        features = extract(scan_from(pose, config, rng, sigma), config.assumed, config.features, rng)
+        features = extract(scan_from(pose, config, rng, sigma), config.assumed, config.features)
         for observation in features.observations:
             world = pose @ observation.z
             nearest = LANDMARKS[np.argmin(np.linalg.norm(LANDMARKS - world, axis=1))]
@@ -211,7 +212,7 @@ def test_landmarks_are_correct_and_their_covariance_is_consistent():
 
 @pytest.mark.parametrize("sigma", [0.003, 0.03])
 def test_the_covariances_follow_the_noise(sigma):
-    stages = {"split": {"epsilon_m": 6 * sigma}, "lines": {"ransac_threshold_m": 5 * sigma}}
+    stages = {"split": {"epsilon_m": 6 * sigma}, "lines": {"threshold_m": 5 * sigma}}
     config = merge(corners(), {"assumed": {"laser": {"range_m": sigma}}, "features": stages})
     rng = np.random.default_rng(6)
     values = [e @ np.linalg.solve(s.cov, e) for s, e in observations_and_truth(config, rng, free_poses(rng, 400), sigma)
@@ -225,7 +226,7 @@ def test_two_corners_of_one_wall_have_independent_errors():
     room, pose = box(-2, -1.5, 4, 3), Pose(0.2, 0.1, 0.0)
     pairs = []
     for _ in range(1500):
-        features = extract(scan_from(pose, config, rng, walls=room), config.assumed, config.features, rng)
+        features = extract(scan_from(pose, config, rng, walls=room), config.assumed, config.features)
         ends = {(z[0] > 0, z[1] > 0): pose @ z for z in (s.z for s in features.observations)}
         if len(ends) == 4:
             # Errors across the upper wall, of its left and right corner.
@@ -234,12 +235,10 @@ def test_two_corners_of_one_wall_have_independent_errors():
     assert abs(np.corrcoef(np.array(pairs).T)[0, 1]) < 0.1
 
 
-@pytest.mark.parametrize("change", [
-    {"split": {"enabled": False}}, {"lines": {"least_squares": False}}, {"partition": {"method": "fixed"}},
-])  # fmt: skip
-def test_every_stage_can_be_switched_off(change):
-    config, rng = merge(corners(), {"features": change}), np.random.default_rng(10)
-    features = extract(scan_from(Pose(1.5, 1.0, 0.3), config, rng), config.assumed, config.features, rng)
+def test_the_first_level_can_be_that_of_the_report():
+    config = merge(corners(), {"features": {"partition": {"method": "fixed"}}})
+    rng = np.random.default_rng(10)
+    features = extract(scan_from(Pose(1.5, 1.0, 0.3), config, rng), config.assumed, config.features)
     kinds = {s.kind for s in features.observations}
     assert len(features.walls) >= 3 and kinds == set(Kind) - {Kind.WALL}
 
@@ -247,7 +246,7 @@ def test_every_stage_can_be_switched_off(change):
 def test_walls_lie_on_the_true_walls_for_any_mount():
     config = merge(corners(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
     rng, pose = np.random.default_rng(11), Pose(1.4, 1.2, -0.7)
-    features = extract(scan_from(pose, config, rng), config.assumed, config.features, rng)
+    features = extract(scan_from(pose, config, rng), config.assumed, config.features)
     for observation in features.observations:
         world = pose @ observation.z
         assert np.linalg.norm(LANDMARKS - world, axis=1).min() < 0.1
@@ -261,8 +260,7 @@ def test_walls_lie_on_the_true_walls_for_any_mount():
 @pytest.mark.parametrize("ranges", [np.full(360, np.inf), np.zeros(360), np.full(360, 1e-3), np.full(360, 9.99)])
 def test_degenerate_scans_have_no_landmarks_and_cause_no_error(ranges):
     config = corners()
-    features = extract(Scan.from_config(ranges, config.laser), config.assumed, config.features,
-                       np.random.default_rng(0))  # fmt: skip
+    features = extract(Scan.from_config(ranges, config.laser), config.assumed, config.features)
     assert isinstance(features.observations, tuple)
     assert np.isfinite(features.walls).all()
 
@@ -275,7 +273,7 @@ def test_a_walls_distance_about_its_middle_is_consistent_for_short_and_far_walls
     for _ in range(1500):
         pose = Pose(rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(-3.0, 3.0))
         for observation in extract(
-            scan_from(pose, config, rng, walls=wall), config.assumed, config.features, rng
+            scan_from(pose, config, rng, walls=wall), config.assumed, config.features
         ).observations:
             expected, _, _ = predict_walls(pose, np.array([[math.pi, -3.0]]))
             (error,), (cov,) = innovations_of(observation.z[None], observation.cov[None], expected, is_wall)

@@ -85,7 +85,7 @@ def test_a_bend_of_a_degree_and_a_half_is_cut_where_it_is():
 
 def walls_observed(walls, config, rng):
     scan = look(Pose(), walls, config.laser, config.assumed.laser.range_m, rng)
-    return [s for s in extract(scan, config.assumed, config.features, rng).observations if s.is_wall]
+    return [s for s in extract(scan, config.assumed, config.features).observations if s.is_wall]
 
 
 def test_no_line_spans_two_walls_that_meet_at_one_and_a_half_degrees():
