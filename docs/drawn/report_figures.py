@@ -30,13 +30,13 @@ from drawing import Recording, draw_truth, features_of, record, strays_m, window
 
 SCAN = 48  # a keyframe of the apartment that sees corridor, living room, bath and kitchen
 CORNERS = {"landmarks": "corners"}
-WITHOUT_IEP = preset("default", estimator="ekf", task="goal", features={**CORNERS, "split": {"enabled": False}})
-# Three times the laser noise and no least-squares fit produce bad landmarks.
+WITHOUT_IEP = preset("default", estimator="ekf", task="goal", features={**CORNERS, "split": {"epsilon_m": 100.0}})
+# Three times the laser noise produces bad landmarks.
 ROUGH: dict[str, Any] = {
     "estimator": "ekf",
     "world": {"laser": {"range_m": 0.03}},
     "assumed": {"laser": {"range_m": 0.03}},
-    "features": {**CORNERS, "lines": {"least_squares": False}},
+    "features": CORNERS,
     "task": "tour",
     "max_time": 80.0,
     "seed": 4,
@@ -64,7 +64,7 @@ def pipeline() -> Any:
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
     figure, axes = new_axes(2, 3, 12.0, 9.2)
-    titles = "scan", "returns", "discontinuity: first level", "IEP: second level", "RANSAC, least squares", "landmarks"
+    titles = "scan", "returns", "discontinuity: first level", "IEP: second level", "least squares", "landmarks"
     for ax, title in zip(axes, titles, strict=True):
         draw_truth(ax, run.scene, near=pose.position, reach_m=5.0)
         drawing.draw_robot(ax, pose, run.trace.radius_m)
@@ -226,7 +226,7 @@ def moments() -> Any:
 
 
 def iep() -> Any:
-    """Figure 11: RANSAC on first-level and second-level partitions, in the scan in which they differ most."""
+    """Figure 11: lines of first-level and second-level partitions, in the scan in which they differ most."""
     run = apartment()
     scene = run.scene
     poses = [Pose.from_array(row) for row in run.trace.key_truths]
@@ -241,7 +241,7 @@ def iep() -> Any:
         drawing.draw_detections(ax, poses[k], features)
         drawing.draw_robot(ax, poses[k], run.trace.radius_m)
         off = strays_m(poses[k], features, scene)
-        ax.set_title(f"RANSAC on {of}-level partitions: maximum error {off:.2f} m")
+        ax.set_title(f"lines of {of}-level partitions: maximum error {off:.2f} m")
     legend(figure)
     return figure
 
