@@ -167,7 +167,7 @@ def _point(
     position = T_world_robot @ point.z
     x, y = T_world_laser.inverse() @ position
     spacing_rad = float(beam_angles(laser.config)[1])
-    beside = math.atan2(y, x) + spacing_rad * (np.arange(2 * _BESIDE) - _BESIDE + 0.5)
+    beside = math.atan2(y, x) + spacing_rad * np.linspace(0.5 - _BESIDE, _BESIDE - 0.5, 2 * _BESIDE)
     _, segment = hit_walls(T_world_laser, beside, scene.segments, laser.config.max_range)
     lines = scene.lines[np.unique(scene.line_of[segment[segment >= 0]])]
     normals = np.column_stack([np.cos(lines[:, 0]), np.sin(lines[:, 0])])
