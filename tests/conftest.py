@@ -1,4 +1,5 @@
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from sixthsense.running.warmup import warm_up
 # Before NumPy is imported: the matrices of the tests are small, and each worker of xdist has one core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# What runs in the background of a shell ignores Ctrl-C.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The first example of a test may compile a kernel.
 hypothesis.settings.register_profile("kernels", deadline=None)

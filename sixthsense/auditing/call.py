@@ -73,8 +73,7 @@ def audit(
     truth
         A bag, a TUM file, the folder of a run, a run, or arrays; a list for a list. By default that of the run.
     pair
-        Without a truth: another system on the same drive, with covariances, in the forms of `estimate`. At least one is
-        overconfident if they differ by more than their covariances allow.
+        Without a truth: another system on the same drive, with covariances; is one of both overconfident?
     covariance
         With a TUM file: a stamp and the 6 or 21 numbers of the upper triangle in each line; with `pair` a list of two.
     topic, pair_topic, truth_topic, truth_frames
@@ -97,24 +96,26 @@ def audit(
         In one line, for files that cannot be read, covariances that are none, and poses that cannot be compared.
 
     """
-    options = Options(topic, pair_topic, truth_topic, truth_frames, frame, order, align, time_offset, same_start)
+    options = Options(
+        topic=topic, pair_topic=pair_topic, truth_topic=truth_topic, truth_frames=truth_frames,
+        frame=frame, order=order, align=align, time_offset=time_offset, same_start=same_start,
+    )  # fmt: skip
     if pair is not None:
-        if truth is not None or isinstance(estimate, list):
-            raise InputError("pair", "found beside a truth or several estimates", "one estimate, and no truth")
-        return _audit_pair(estimate, pair, covariance, options)
-    return _audit_truth([_compared(*one, options) for one in _matched(estimate, truth, covariance)], options)
+        return _judged([_beside_each_other(estimate, truth, pair, covariance, options)], options, is_pair=True)
+    return _judged([_beside_truth(*one, options) for one in _matched(estimate, truth, covariance)], options)
 
 
-def _audit_truth(runs: list[_Compared], options: Options) -> Audit:
-    """The audit of runs beside their truths, which are pooled."""
-    align, first, several = options.align or "none", runs[0].estimate, len(runs) > 1
+def _judged(runs: list[_Compared], options: Options, is_pair: bool = False) -> Audit:
+    """The audit of runs beside their truths, which are pooled, or of two systems."""
+    align: Align = options.align or ("all" if is_pair else "none")
+    first, several = runs[0].estimate, len(runs) > 1
     own = [run.errors for run in runs]
     if len({run.error.shape[1] for run in own}) > 1:
         raise InputError("estimate", "found runs in the plane and in space", "all in one of them")
     read: Frame = first.frame or "world"
     found = findings(own, align, read)
     notes = [f"{run.estimate.name}: {note}" if several else note for run in runs for note in run.notes]
-    if is_other_frame(own, [run.other for run in runs]):
+    if not is_pair and is_other_frame(own, [run.other for run in runs]):
         other: Frame = "body" if read == "world" else "world"
         nees = findings([run.other for run in runs], align, other).pose.nees
         notes.append(
@@ -123,9 +124,10 @@ def _audit_truth(runs: list[_Compared], options: Options) -> Audit:
         )
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
     offsets = tuple(run.offset for run in runs if run.offset is not None)
-    trajectory = pooled([(len(run.truth), run.trajectory) for run in runs])
+    trajectory = None if is_pair else pooled([(len(run.truth), run.trajectory) for run in runs])
+    judged = pair_findings(found, own[0]) if is_pair else None
     words = _read_as(first, read, found.pose.dof, options)
-    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory)
+    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory, judged)
 
 
 def _matched(
@@ -147,9 +149,33 @@ def _matched(
     return list(zip(estimates, truths or nothing, paths or nothing, strict=True))
 
 
-def _compared(source: Source, true: Source | None, covariance: Path | None, options: Options) -> _Compared:
+def _beside_truth(source: Source, true: Source | None, covariance: Path | None, options: Options) -> _Compared:
+    """An estimate beside the truth."""
     estimate = open_estimate(source, covariance, options)
     return _side_by_side(estimate, open_truth(true, estimate, source, options), options.align or "none", options)
+
+
+def _beside_each_other(
+    source: Source | list[Source],
+    truth: object,
+    second: Source,
+    covariance: str | Path | list[str | Path] | None,
+    options: Options,
+) -> _Compared:
+    """Two systems; arrays, which have no name of their own, are the first and the second."""
+    if truth is not None or isinstance(source, list):
+        raise InputError("pair", "found beside a truth or several estimates", "one estimate, and no truth")
+    if isinstance(second, list):
+        raise InputError("pair", f"found a list of {len(second)}", "one system")
+    if options.align == "first":
+        raise InputError("align", "found first with `pair`", "none or all")
+    systems = []
+    for name, (one, _, file) in zip(("first", "second"), _matched([source, second], None, covariance), strict=True):
+        of_second = {"topic": options.pair_topic or options.topic} if name == "second" else {}
+        opened = open_estimate(one, file, options.replaced(**of_second))
+        own_name = name if opened.name == "estimate" else opened.name
+        systems.append(replace(opened, frame=opened.frame or "world", name=own_name))
+    return _side_by_side(systems[0], systems[1], options.align or "all", options)
 
 
 def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options) -> _Compared:
@@ -168,35 +194,6 @@ def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options)
     wrong = [f"{WRONG}: {mistake}" for mistake in of_errors(own)] if truth.covs is None else []
     notes = (*pair.notes, *of_poses(pair, align), *wrong)
     return _Compared(estimate, pair.truth, own, other, offset, trajectory_errors(pair), notes)
-
-
-def _audit_pair(
-    source: Source, second: Source, covariance: str | Path | list[str | Path] | None, options: Options
-) -> Audit:
-    """The audit of two systems by each other."""
-    align = options.align or "all"
-    if isinstance(second, list):
-        raise InputError("pair", f"found a list of {len(second)}", "one system")
-    if align == "first":
-        raise InputError("align", "found first with `pair`", "none or all")
-    of_pair = replace(options, topic=options.pair_topic or options.topic)
-    opened = [
-        open_estimate(one, file, of_pair if k else options)
-        for k, (one, _, file) in enumerate(_matched([source, second], None, covariance))
-    ]
-    # Arrays have no name of their own.
-    systems = [
-        replace(one, frame=one.frame or "world", name=name if one.name == "estimate" else one.name)
-        for one, name in zip(opened, ("first", "second"), strict=True)
-    ]
-    run = _side_by_side(systems[0], systems[1], align, options)
-    read: Frame = systems[0].frame or "world"
-    found = findings([run.errors], align, read)
-    assert run.errors.of_estimate is not None
-    judged = pair_findings(found, run.errors, run.errors.of_estimate)
-    offsets = () if run.offset is None else (run.offset,)
-    names, words = (systems[0].name, systems[1].name), _read_as(systems[0], read, found.pose.dof, options)
-    return Audit(found, (run.errors,), read, align, words, names, offsets, run.notes, None, judged)
 
 
 def _read_as(estimate: Poses, frame: Frame, dof: int, options: Options) -> str:

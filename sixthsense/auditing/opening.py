@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from sixthsense.auditing.mistakes import WRONG, headings_in_degrees, of_estimate
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, poses_from
 from sixthsense.config.errors import InputError
-from sixthsense.config.section import checked, shown
+from sixthsense.config.section import Section
 from sixthsense.core.arguments import as_array
 from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
 
 Order = Literal["translation", "rotation"]
+Name = Annotated[str, Field(min_length=1)]
 Source = str | Path | MeasuredRun | Sequence[ArrayLike]
 """a bag, a TUM file, the folder of a run, a run, or arrays: stamps, poses and, of an estimate, covariances"""
 
@@ -33,17 +35,16 @@ _ROUNDED_S = 1e-5
 _FORMS = "(N, 3) x y theta, (N, 7) x y z qx qy qz qw, or (N, 3, 3) or (N, 4, 4) matrices"
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(Section):
     """How the sources are read and compared; InputError for a value that is not allowed."""
 
     topic: str = ""
     """of the estimate in a bag; by default the only one with covariances"""
     pair_topic: str = ""
-    """the same of the other systems; by default as `topic`"""
+    """the same of the other system; by default as `topic`"""
     truth_topic: str = ""
     """of the truth in a bag: a topic of poses, or /tf"""
-    truth_frames: tuple[str, str] | None = None
+    truth_frames: tuple[Name, Name] | None = None
     """parent and child in /tf; by default those that the estimate names"""
     frame: Frame | None = None
     """whose axes the covariances have; by default that of the format, and else the world's"""
@@ -51,20 +52,10 @@ class Options:
     """which half of a covariance is first"""
     align: Align | None = None
     """how the estimate is brought into the frame of the truth; by default not, and by all poses into that of a pair"""
-    time_offset: float | None = None
+    time_offset: Annotated[float | None, Field(gt=0.0, le=1e6)] = None
     """largest offset of the stamps to search, s; None: none is searched"""
     same_start: bool = False
     """whether both begin together: stamps count from the first pose of each"""
-
-    def __post_init__(self) -> None:
-        for name, known in (("frame", Frame | None), ("order", Order), ("align", Align | None)):
-            checked(name, known, getattr(self, name))
-        offset = self.time_offset
-        if offset is not None and not (isinstance(offset, (int, float)) and 0.0 < offset <= 1e6):
-            raise InputError("time offset", f"found {shown(offset)}", "the largest one to search, s, above 0")
-        frames = self.truth_frames
-        if frames is not None and (isinstance(frames, str) or len(frames) != 2 or not all(frames)):
-            raise InputError("truth frames", f"found {shown(frames)}", "two names, parent and child")
 
 
 def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:

@@ -25,8 +25,8 @@ _GAP = 3.0
 """Longest time between two true poses that are interpolated, in median intervals: beyond it some are missing."""
 _BENT = 0.5
 """of the stated sigmas: the error of an interpolated truth beyond which only poses beside a true one are compared"""
-_COARSE_POSES, _STEPS = 1000, 100
-"""of the first search for a time offset: evenly chosen poses, and steps of the grid on each side"""
+_COARSE_POSES, _STEPS, _FINE_STEPS = 1000, 100, 11
+"""of the search for a time offset: evenly chosen poses, steps of the grid on each side, and around the best of them"""
 _SAME = 1e-9
 """Metres and radians; an estimate that is nowhere farther from the truth is the truth."""
 
@@ -208,38 +208,32 @@ def time_offset(estimate: Poses, truth: Poses, limit_s: float, align: Align, fra
     The search uses the poses whose stamps lie within the truth for every offset. Raises InputError if there are none,
     and if the least value lies at the limit.
     """
-    from scipy.optimize import minimize_scalar
-
     limit_ns = round(limit_s * 1e9)
     low, high = truth.stamps_ns[0] + limit_ns, truth.stamps_ns[-1] - limit_ns
     rows = np.flatnonzero((estimate.stamps_ns >= low) & (estimate.stamps_ns <= high))
     if len(rows) < 2:
-        raise InputError("time offset", f"found no pose more than {limit_s:g} s within the truth", "a smaller limit")
+        raise InputError("time_offset", f"found no pose more than {limit_s:g} s within the truth", "a smaller limit")
     some = estimate.part(rows[np.unique(np.linspace(0, len(rows) - 1, _COARSE_POSES).astype(np.int64))])
     every = estimate.part(rows)
 
     def errors(offset_s: float, poses: Poses) -> Errors:
-        pair: Pair = paired(poses, truth, round(offset_s * 1e9))
+        pair = paired(poses, truth, round(offset_s * 1e9))
         return errors_of(pair, aligned(pair, align, frame), align, frame)
 
-    def cost(offset_s: float, poses: Poses = some) -> float:
-        return float(np.mean(errors(offset_s, poses).nees))
-
     grid = np.linspace(-limit_s, limit_s, 2 * _STEPS + 1)
-    best = int(np.argmin([cost(offset) for offset in grid]))
+    best = int(np.argmin([errors(offset, some).nees.mean() for offset in grid]))
     if best in (0, len(grid) - 1):
-        raise InputError(
-            "time offset",
-            f"found the least NEES at the limit of {limit_s:g} s",
-            "a larger limit, or a robot that moves",
-        )
-    bounds = (grid[best - 1], grid[best + 1])
-    found = minimize_scalar(cost, bounds=bounds, args=(every,), method="bounded", options={"xatol": 1e-5})
-    offset_s, step = float(found.x), grid[1] - grid[0]
+        found, allowed = f"found the least NEES at the limit of {limit_s:g} s", "a larger limit, or a robot that moves"
+        raise InputError("time_offset", found, allowed)
+    # The mean NEES is a parabola of the offset near its least value.
+    beside = np.linspace(-1.0, 1.0, _FINE_STEPS) * (grid[1] - grid[0])
+    half_bend, slope, _ = np.polyfit(beside, [errors(grid[best] + off, every).nees.mean() for off in beside], 2)
+    if half_bend <= 0.0:
+        return Offset(float(grid[best]), math.inf)
+    offset_s = float(grid[best] - 0.5 * slope / half_bend)
     least = errors(offset_s, every)
     worth = consistency([(least.error, least.cov)])
-    bend = (cost(offset_s + step, every) + cost(offset_s - step, every) - 2.0 * worth.nees) / step**2
-    return Offset(offset_s, math.sqrt(2.0 / (worth.samples * bend)) if bend > 0.0 else math.inf)
+    return Offset(offset_s, math.sqrt(1.0 / (worth.samples * half_bend)))
 
 
 def check_is_not_the_truth(pair: Pair) -> None:

@@ -42,12 +42,10 @@ class PairFindings:
     """chance to be found if one system's errors are so many times its stated sigmas, the smaller one of the two"""
 
 
-def pair_findings(found: Findings, errors: Errors, of_first: Array) -> PairFindings:
-    """Judge the differences of two systems.
-
-    `of_first` (N, d, d) is the first one's part in the covariance of the differences, whose other part is the second
-    one's.
-    """
+def pair_findings(found: Findings, errors: Errors) -> PairFindings:
+    """Judge the differences of two systems: the first one's covariance is a part of that of the differences."""
+    of_first = errors.of_estimate
+    assert of_first is not None
     # Of honest systems the whitened differences are standard normal: their own correlation gives the samples.
     samples, dof = effective_samples_of_errors([whitened_errors(errors.error, errors.cov)])[0], found.pose.dof
     low, high = (

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import functools
-import numbers
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
+
+from pydantic import Field
 
 from sixthsense.campaigns.cluster import Cluster, check_workers, connect
 from sixthsense.campaigns.engine import Processes, carry_out
-from sixthsense.campaigns.folder import CampaignRows, check_folder, check_rows, read_folder, save_folder
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, campaign_of, plan
-from sixthsense.campaigns.worker import FAILED, OtherVersionError, failed_row, run_row
+from sixthsense.campaigns.folder import CampaignRows, check_folder, read_folder, save_folder
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, campaign_of, plan
+from sixthsense.campaigns.worker import FAILED, failed_row, run_row
 from sixthsense.config import Config, Section, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import path_of
 from sixthsense.config.parts import KINDS, import_again, searched
-from sixthsense.config.section import shown
+from sixthsense.config.section import Count, checked
 from sixthsense.config.tree import task_of
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import LABELS, RunTable, Sample
@@ -52,7 +53,7 @@ class Execution:
     """is told how many runs there are, and where"""
 
 
-def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, execution: Execution) -> None:
+def complete(campaign: CampaignPlan, runs: Mapping[str, Config], out: Path, execution: Execution) -> None:
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
     Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
@@ -62,9 +63,8 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
     with FolderLock(out):
         saved, rows = check_folder(out, campaign), CampaignRows(out)
         known = rows.rows.read()
-        check_rows(out, runs, known.values())
         done = {key for key, row in known.items() if not (execution.retry_failed and row["outcome"] == FAILED)}
-        missing = {key: run.config for key, run in runs.items() if key not in done}
+        missing = {key: config for key, config in runs.items() if key not in done}
         if not missing:
             save_folder(out, campaign, saved)
             execution.say(f"all {len(runs)} runs are already in {out}/")
@@ -96,8 +96,8 @@ def _row(future: Future[dict[str, Any]], config: Config) -> dict[str, Any]:
     except (OSError, CancelledError):
         found = "found the connection lost, the finished rows are kept"
         raise InputError("scheduler", found, "the same command again") from None
-    except OtherVersionError as error:
-        raise InputError("worker that joined late", str(error)) from None
+    except InputError:  # a worker of another version
+        raise
     except Exception as error:
         return failed_row(config, error)
 
@@ -148,49 +148,28 @@ def campaign(
 
     """
     given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
-    planned = _plan(scenes, seeds, given)
-    execution = Execution(_worker_count(workers), None, retry_failed, progress)
-    complete(planned, plan(planned), Path(out), execution)
-    return Campaign(out)
-
-
-def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given: dict[str, Any]) -> CampaignPlan:
-    texts = [scenes] if isinstance(scenes, (str, Path)) else list(scenes)
-    if not texts or not all(isinstance(text, (str, Path)) for text in texts):
-        raise InputError("scenes", f"found {shown(scenes)}", "names or files of scenes, one or several")
+    workers = checked("workers", Annotated[int | None, Field(ge=1, le=1024)], workers)
     for name in ("scene", "seed"):
         if name in given:
             raise InputError(name, "found for a campaign", f"{name}s")
-    axes = {axis: _values(axis, given.pop(axis)) for axis in AXES if axis in given}
+    axes = {axis: _several(axis, given.pop(axis)) for axis in AXES if axis in given}
     for parts in KINDS:
         if parts.kind in axes:
             axes[parts.kind] = tuple(map(parts.name_of, axes[parts.kind]))
-    return campaign_of({**axes, "scene": [str(text) for text in texts]}, _seeds(seeds), given, task_of(given))
+    axes["scene"] = tuple(map(str, checked("scenes", tuple[str | Path, ...], _several("scenes", scenes))))
+    each = tuple(seeds) if isinstance(seeds, Iterable) and not isinstance(seeds, str) else seeds
+    every = checked("seeds", Annotated[tuple[Count, ...], Field(min_length=1)], each)
+    planned = campaign_of(axes, every, given, task_of(given))
+    complete(planned, plan(planned), Path(out), Execution(workers, None, retry_failed, progress))
+    return Campaign(out)
 
 
-def _values(axis: str, value: Any) -> tuple[Any, ...]:
+def _several(name: str, value: Any) -> tuple[Any, ...]:
     """One value or several as a tuple; InputError for none."""
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
-        raise InputError(axis, f"found {shown(value)}", "one value or several")
+        raise InputError(name, "found none", "one value or several")
     return values
-
-
-def _seeds(seeds: Any) -> list[int]:
-    allowed = "whole numbers of at least 0, such as range(20)"
-    if not isinstance(seeds, Iterable) or isinstance(seeds, str):
-        raise InputError("seeds", f"found {shown(seeds)}", allowed)
-    found = list(seeds)
-    for seed in found or [None]:
-        if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
-            raise InputError("seeds", f"found {'none' if seed is None else shown(seed)}", allowed)
-    return [int(seed) for seed in found]
-
-
-def _worker_count(workers: int | None) -> int | None:
-    if workers is not None and not (isinstance(workers, int) and 1 <= workers <= 1024):
-        raise InputError("workers", f"found {shown(workers)}", "a whole number from 1 to 1024")
-    return workers
 
 
 class Campaign(RunTable):
@@ -204,7 +183,7 @@ class Campaign(RunTable):
         self.folder = path_of("folder", folder)
         """with campaign.toml, rows.jsonl and curves/"""
         self.name = self.folder.absolute().name
-        self._fields = read_folder(self.folder)["fields"]
+        self._fields = read_folder(self.folder).fields
         self._rows = CampaignRows(self.folder)
 
     def frame(self) -> pd.DataFrame:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from sixthsense.campaigns.plan import CampaignPlan, own_parts
-from sixthsense.campaigns.worker import describe, one_line, python_minor
+from sixthsense.campaigns.worker import describe, one_line
 from sixthsense.config.errors import InputError, import_extra
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
@@ -61,31 +61,16 @@ def connect(scheduler: str) -> Iterator[Cluster]:
 def check_workers(client: Any, campaign: CampaignPlan) -> None:
     """Check that all workers produce the same runs; InputError that names the one that does not.
 
-    Every worker must have this version of the package, this minor version of Python, and scenes of the same content.
+    Every worker must have this version of the package, this minor version of Python, parts that it can import, and
+    scenes of the same content.
     """
-    # Functions can be pickled between equal minor versions of Python only, so this check comes first.
-    versions = client.get_versions()
-    for address, found in {"scheduler": versions["scheduler"], **versions["workers"]}.items():
-        minor = ".".join(found["host"]["python"].split(".")[:2])
-        if minor != python_minor():
-            raise InputError(f"worker {address}", f"found Python {minor}", f"{python_minor()}")
-    digests, map_unknown = campaign.digests(), campaign.bases()[0].map_unknown
-    parts = own_parts(campaign.settings())
-    answers = client.run(describe, list(digests), map_unknown, parts, on_error="return")
-    for address, answer in answers.items():
+    scenes, map_unknown = campaign.values["scene"], campaign.bases()[0].map_unknown
+    asked = scenes, map_unknown, own_parts(campaign.settings())
+    own = describe(*asked)
+    for address, answer in client.run(describe, *asked, on_error="return").items():
         if isinstance(answer, BaseException):
-            raise InputError(
-                f"worker {address}", f"found no usable sixthsense ({one_line(answer)})", f"version {__version__}"
-            )
-        if answer["sixthsense"] != __version__:
-            raise InputError(f"worker {address}", f"found version {answer['sixthsense']} of sixthsense", __version__)
-        for missing in answer["missing"]:
-            found = f"{missing.partition(', allowed')[0]} (Python {answer['python']} in {answer['environment']})"
-            raise InputError(f"worker {address}", found, "the module of the part in the worker's environment")
-        for scene, digest in digests.items():
-            if answer["scenes"][scene] != digest:
-                raise InputError(
-                    f"worker {address}",
-                    f"found another scene {scene} than on this machine ({answer['scenes'][scene]})",
-                    "the same file at the same path",
-                )
+            found = f"found no usable sixthsense ({one_line(answer)})"
+            raise InputError(f"worker {address}", found, f"version {__version__}")
+        for name, value in own.items():
+            if answer[name] != value:
+                raise InputError(f"worker {address}", f"found another {name}, {answer[name]}", value)

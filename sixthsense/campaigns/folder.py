@@ -1,23 +1,23 @@
-"""The folder of a campaign: `campaign.toml` with the axes and shared fields, and what its runs have come to.
+"""The folder of a campaign: `campaign.toml` with the axes and shared fields, and the rows of its runs.
 
 `rows.jsonl` has a row of metrics for each run, a JSON object per line; `curves/` an NPZ file with the errors along it.
 """
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import field_validator
 
 from sixthsense.campaigns.engine import Rows
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, PlannedRun, ranges, seed_range
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, ranges, seed_range
 from sixthsense.campaigns.worker import CURVES
-from sixthsense.config import as_table, merge, preset
+from sixthsense.config import Section
 from sixthsense.config.errors import InputError, reason_of
-from sixthsense.config.files import instead_of
+from sixthsense.config.files import instead_of, read_table
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import CURVES as COLUMNS
@@ -36,11 +36,35 @@ ORDER = (*AXES, "seed")
 """columns by which a frame is sorted"""
 
 
-def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | None:
+class Saved(Section):
+    """The content of `campaign.toml`."""
+
+    axes: dict[str, list[str]]
+    """the values of each axis; seeds as ranges"""
+    fields: dict[str, Any]
+    """nested table that the runs share, without the axes"""
+    scenes: dict[str, str]
+    """the hash of each scene's content"""
+    versions: dict[str, str]
+    """of the package that made the runs"""
+
+    @field_validator("axes")
+    @classmethod
+    def _complete(cls, axes: dict[str, list[str]]) -> dict[str, list[str]]:
+        """InputError for an axis that is missing, and for seeds that are no ranges."""
+        for axis in (*ALWAYS, "seeds"):
+            if axis not in axes:
+                raise InputError(axis, "found nothing", "a list of texts")
+        for text in axes["seeds"]:
+            seed_range(text)
+        return axes
+
+
+def check_folder(folder: Path, campaign: CampaignPlan) -> Saved | None:
     """Check the output folder and return its `campaign.toml`, or None for a new or empty folder.
 
-    Raises InputError for a file, for a folder that is not a campaign's, and for a campaign with other shared fields
-    or changed scenes. The axes may have other values: scenes, presets, parts and seeds can be added.
+    Raises InputError for a file, for a folder that is not a campaign's, and for a campaign by another version, with
+    other shared fields or changed scenes. The axes may have other values: scenes, presets, parts, seeds can be added.
     """
     allowed = "a new or empty folder, or that of this campaign"
     if folder.exists() and not folder.is_dir():
@@ -51,103 +75,49 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
         kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"
         raise InputError("out", f"{folder} is {kind}", allowed)
     saved = read_folder(folder)
-    before, now = flat(saved["fields"]), flat(_typed_fields(campaign))
+    if (version := saved.versions.get("sixthsense")) != __version__:
+        raise InputError("out", f"{folder} has runs by version {version} of sixthsense", f"{__version__}; {allowed}")
+    before, now = flat(saved.fields), flat(campaign.fields)
     for name in dict.fromkeys([*before, *now]):
         if before.get(name) != now.get(name):
             old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
             raise InputError("out", f"{folder} is a campaign with {name} = {old}, found {new}", allowed)
     for scene, digest in campaign.digests().items():
-        if saved["scenes"].get(scene, digest) != digest:
+        if saved.scenes.get(scene, digest) != digest:
             raise InputError("out", f"the scene {scene} has changed since {folder} was created", allowed)
     return saved
 
 
-def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Raise InputError if the folder has a row of a planned run with another configuration.
-
-    A preset or a default value that differs between two versions of the package is the usual cause.
-    """
-    hashes = {tuple(run.axes().values()): key for key, run in runs.items()}
-    for row in rows:
-        values = tuple(row[name] for name in (*AXES, "seed"))
-        if hashes.get(values, row["config_hash"]) != row["config_hash"]:
-            raise InputError(
-                "out",
-                f"{folder} has the run {' '.join(map(str, values))} with another configuration, from version "
-                f"{row['version']} of the package",
-                "another folder",
-            )
-
-
-def save_folder(folder: Path, campaign: CampaignPlan, saved: Mapping[str, Any] | None) -> None:
+def save_folder(folder: Path, campaign: CampaignPlan, saved: Saved | None) -> None:
     """Write `campaign.toml` atomically, with the axes of `saved` extended by those of the campaign.
 
     Raises OSError that names the file.
     """
     import tomli_w
 
-    axes = campaign.axes()
-    scenes = campaign.digests()
+    axes, scenes, seeds = campaign.axes(), campaign.digests(), list(campaign.seeds)
     if saved is not None:
-        seeds = [seed for text in saved["axes"]["seeds"] for seed in seed_range(text)]
-        axes = {axis: list(dict.fromkeys([*saved["axes"].get(axis, ()), *values])) for axis, values in axes.items()}
-        axes = {**saved["axes"], **axes}
-        axes["seeds"] = ranges([*seeds, *campaign.seeds])
-        scenes = {**saved["scenes"], **scenes}
-    if saved is None or (axes, scenes) != (saved["axes"], saved["scenes"]):
-        table = {
-            "axes": axes,
-            "fields": _typed_fields(campaign),
-            "scenes": scenes,
-            "versions": {"sixthsense": __version__},
-        }
+        seeds += [seed for text in saved.axes["seeds"] for seed in seed_range(text)]
+        both = {axis: [*saved.axes.get(axis, ()), *axes.get(axis, ())] for axis in {**saved.axes, **axes}}
+        axes = {axis: list(dict.fromkeys(values)) for axis, values in both.items()} | {"seeds": ranges(seeds)}
+        scenes = {**saved.scenes, **scenes}
+    if saved is None or (axes, scenes) != (saved.axes, saved.scenes):
+        table = {"axes": axes, "fields": campaign.fields, "scenes": scenes, "versions": {"sixthsense": __version__}}
         folder.mkdir(parents=True, exist_ok=True)
         with whole(folder / FILE) as file:
             file.write_bytes(tomli_w.dumps(table).encode())
 
 
-def read_folder(folder: Path) -> Mapping[str, Any]:
-    """Read `campaign.toml` as a table; raises InputError for a missing or damaged file."""
+def read_folder(folder: Path) -> Saved:
+    """Read `campaign.toml`; raises InputError for a missing or damaged file."""
     file = folder / FILE
-    allowed = "the folder of a campaign"
     if not file.is_file():
-        raise InputError(folder, f"found {instead_of(folder, FILE)}", allowed)
+        raise InputError(folder, f"found {instead_of(folder, FILE)}", "the folder of a campaign")
+    table = read_table(file)
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(file, f"is not TOML ({error})", allowed) from None
-    for name in ("axes", "fields", "scenes"):
-        if not isinstance(table.get(name), dict):
-            raise InputError(file, f"{name}: found no such table", allowed)
-    for axis in dict.fromkeys((*ALWAYS, "seeds", *table["axes"])):
-        values = table["axes"].get(axis)
-        if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
-            raise InputError(file, f"axes.{axis}: found {shown(values)}", "a list of texts")
-    try:
-        for text in table["axes"]["seeds"]:
-            seed_range(text)
+        return Saved(**table)
     except InputError as error:
-        raise error.at(f"{file}: axes.{error.where}") from None
-    return table
-
-
-def _typed_fields(campaign: CampaignPlan) -> dict[str, Any]:
-    """The shared fields with the types of the configuration: numbers of the field's type, lists for tuples."""
-
-    def select(table: Mapping[str, Any], names: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            name: select(table[name], value) if isinstance(value, Mapping) else _plain(table[name])
-            for name, value in sorted(names.items())
-            if name in table
-        }
-
-    return select(as_table(merge(preset(campaign.values["preset"][0]), campaign.fields)), campaign.fields)
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+        raise error.within(file) from None
 
 
 class CampaignRows:

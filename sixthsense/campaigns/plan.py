@@ -99,27 +99,8 @@ def own_parts(settings: Iterable[Config]) -> list[tuple[str, str]]:
     return sorted({(parts.kind, name) for parts, name in found if name not in parts.shipped})
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedRun:
-    """One run of a campaign."""
-
-    setting: Config
-    """configuration, whose seed is ignored"""
-    seed: int
-    """seed of all random generators"""
-
-    @property
-    def config(self) -> Config:
-        """The complete configuration, with the seed."""
-        return self.setting.replaced(seed=self.seed)
-
-    def axes(self) -> dict[str, Any]:
-        """The values of the axes and the seed."""
-        return {**{axis: getattr(self.setting, axis) for axis in AXES}, "seed": self.seed}
-
-
-def plan(campaign: CampaignPlan) -> dict[str, PlannedRun]:
-    """All runs of a campaign by the hash of their configuration, ordered by seed, so that settings progress equally.
+def plan(campaign: CampaignPlan) -> dict[str, Config]:
+    """The configurations of all runs of a campaign by their hashes, ordered by seed: settings progress equally.
 
     Raises InputError for too many runs, and the errors of `CampaignPlan.settings`.
     """
@@ -128,7 +109,7 @@ def plan(campaign: CampaignPlan) -> dict[str, PlannedRun]:
         raise InputError("campaign", f"found {count} runs", f"at most {MOST_RUNS}")
     tables = [(setting, as_table(setting)) for setting in campaign.settings()]
     return {
-        _hash({**table, "seed": seed}): PlannedRun(setting, seed)
+        _hash({**table, "seed": seed}): setting.model_copy(update={"seed": seed})
         for seed in campaign.seeds
         for setting, table in tables
     }

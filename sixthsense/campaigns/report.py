@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from sixthsense.campaigns.call import Campaign
-from sixthsense.campaigns.folder import read_folder
+from sixthsense.campaigns.folder import Saved, read_folder
 from sixthsense.campaigns.plan import AXES
 from sixthsense.config.errors import InputError
 from sixthsense.figures.plot import Form
@@ -29,8 +27,8 @@ def report_campaign(folder: str | Path, out: str | Path, form: Form = "png") -> 
     if not samples:
         raise InputError(folder, "found no runs", "a campaign with at least one")
     saved = read_folder(campaign.folder)
-    settings = {axis: " ".join(values) for axis, values in saved["axes"].items()} | flat_texts(saved["fields"])
-    settings |= {f"version of {name}": str(version) for name, version in saved.get("versions", {}).items()}
+    settings = {axis: " ".join(values) for axis, values in saved.axes.items()} | flat_texts(saved.fields)
+    settings |= {f"version of {name}": str(version) for name, version in saved.versions.items()}
     sections = {
         "Summary": [campaign.summary()],
         "Configuration": [pd.Series(settings, name="value").to_frame()],
@@ -42,13 +40,13 @@ def report_campaign(folder: str | Path, out: str | Path, form: Form = "png") -> 
     return [*files, out / "metrics.csv"]
 
 
-def _command(campaign: Campaign, saved: Mapping[str, Any]) -> str:
+def _command(campaign: Campaign, saved: Saved) -> str:
     """The command that makes the campaign, or goes on with it."""
-    axes = saved["axes"]
+    axes = saved.axes
     words = ["sixthsense", "campaign", *axes["scene"], "--seeds", *axes["seeds"]]
     for axis in AXES[1:]:
         words += [f"--{axis.replace('_', '-')}", *axes[axis]] if axis in axes else []
-    for name, value in flat_texts(saved["fields"]).items():
+    for name, value in flat_texts(saved.fields).items():
         section, dot, field = name.replace("_", "-").rpartition(".")
         words += [f"--{section}{dot}{'no-' * (value == 'false')}{field}"]
         words += [] if value in ("true", "false") else value.split()

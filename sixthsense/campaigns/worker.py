@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from sixthsense.campaigns.plan import AXES, config_hash, scene_digest
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.parts import KINDS
 from sixthsense.config.version import __version__
 
@@ -24,38 +25,23 @@ CURVES = "curves"
 _run_lock = threading.Lock()
 
 
-class OtherVersionError(Exception):
-    """A worker that joined after the others has another version of the package."""
-
-
-def python_minor() -> str:
-    """The minor version of Python, such as 3.12."""
-    return ".".join(platform.python_version_tuple()[:2])
-
-
 def describe(
     scenes: Sequence[str], map_unknown: Literal["wall", "free"], parts: Sequence[tuple[str, str]] = ()
-) -> dict[str, Any]:
-    """What must be equal on all workers: the versions, the scenes' hashes, and why a part cannot be imported."""
-    missing = []
+) -> dict[str, str]:
+    """What must be equal on all workers: versions, each part that is not shipped, and the hash of each scene."""
+    found = {"Python": ".".join(platform.python_version_tuple()[:2]), "sixthsense": __version__}
     for kind, name in parts:
         try:
             next(known for known in KINDS if known.kind == kind).load(name)
+            found[f"{kind} {name}"] = "one that can be imported"
         except ValueError as error:
-            missing.append(str(error))
-    digests = {}
+            found[f"{kind} {name}"] = f"{error} in {sys.prefix}"
     for scene in scenes:
         try:
-            digests[scene] = scene_digest(scene, map_unknown)
+            found[f"scene {scene}"] = scene_digest(scene, map_unknown)
         except ValueError as error:
-            digests[scene] = str(error)
-    return {
-        "sixthsense": __version__,
-        "python": python_minor(),
-        "scenes": digests,
-        "missing": missing,
-        "environment": sys.prefix,
-    }
+            found[f"scene {scene}"] = str(error)
+    return found
 
 
 def row_of(config: Config) -> dict[str, Any]:
@@ -66,10 +52,10 @@ def row_of(config: Config) -> dict[str, Any]:
 def run_row(config: Config, version: str) -> dict[str, Any]:
     """Make one run and return its row; if the run raises, the row has the outcome `FAILED` and a one-line reason.
 
-    Raises OtherVersionError if the package has another version than `version`.
+    Raises InputError if the package has another version than `version`, as that of a worker that joined late may.
     """
     if version != __version__:
-        raise OtherVersionError(f"found version {__version__} of sixthsense, allowed: {version}")
+        raise InputError("worker that joined late", f"found version {__version__} of sixthsense", version)
     from sixthsense.running.warmup import prepare
 
     with _run_lock:

@@ -96,7 +96,7 @@ def _validated(options: Audit) -> int:
     if len(files) != len(options.estimate):
         raise InputError("covariance", f"found {len(files)} for {len(options.estimate)} estimates", "one for each")
     for source, file in zip(options.estimate, files, strict=True):
-        poses = open_estimate(source, file, Reading(options.topic, frame=options.frame, order=options.order))
+        poses = open_estimate(source, file, Reading(topic=options.topic, frame=options.frame, order=options.order))
         wrong = [note for note in poses.notes if note.startswith(WRONG)]
         for line in poses.notes or ("nothing found that cannot be right",):
             print(f"{poses.name}: {line}")

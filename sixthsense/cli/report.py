@@ -14,7 +14,6 @@ from sixthsense.config.section import checked
 if TYPE_CHECKING:
     from sixthsense.figures.plot import Form
     from sixthsense.figures.run import Run
-    from sixthsense.slam.prior_map import PriorStart
 
 _FILM = "animation.gif"
 
@@ -41,9 +40,6 @@ class Report(Options):
     animate: Annotated[str | None, Arg("[FILE]", without=_FILM)] = None
     """Film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif beside the figures."""
 
-    prior_map: Annotated[Path | None, Arg("DIR")] = None
-    """With --animate: folder of the prior map, for a run that began with one."""
-
     def run(self, flags: Table) -> int:
         """Draw the figures of runs."""
         folders, out = self.folders, self.out
@@ -52,7 +48,7 @@ class Report(Options):
         if out is not None and out.exists() and not self.overwrite:
             raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
         from sixthsense.evaluation.measured_run import check_folders
-        from sixthsense.figures.animation import check_film, film_prior
+        from sixthsense.figures.animation import check_film
         from sixthsense.figures.comparison import compare
         from sixthsense.figures.plot import Form
         from sixthsense.figures.report import report
@@ -61,15 +57,12 @@ class Report(Options):
         form: Form = checked("figures", Form, self.figures)
         if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
             return _report_campaign(self, form)
-        if self.animate is not None:
-            check_film(self.animate)
-            if len(folders) > 1:
-                raise InputError("animate", f"found {len(folders)} runs", "one run")
+        if self.animate is not None and len(folders) > 1:
+            raise InputError("animate", f"found {len(folders)} runs", "one run")
         check_folders(folders, "the folder of a run or of a campaign")
         runs = [load(folder) for folder in folders]
-        if self.animate is None and self.prior_map is not None:
-            raise InputError("prior_map", "found without `animate`", "with it")
-        prior = film_prior(runs[0].trace, self.prior_map) if self.animate is not None else None
+        if self.animate is not None:
+            check_film(self.animate, runs[0].trace)
         if out is None:
             out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
         files = report(runs, out, form)
@@ -80,7 +73,7 @@ class Report(Options):
         print(f"written to {out}/: {', '.join(file.name for file in files)}")
         if self.animate is not None:
             file = out / _FILM if self.animate == _FILM else Path(self.animate)
-            _animate(runs[0], folders[0], file, prior)
+            _animate(runs[0], folders[0], file)
             print(f"written: {file}")
         return DONE
 
@@ -102,7 +95,7 @@ def _report_campaign(options: Report, form: Form) -> int:
     return DONE
 
 
-def _animate(run: Run, folder: str, film: Path, prior: PriorStart | None) -> None:
+def _animate(run: Run, folder: str, film: Path) -> None:
     from tqdm import tqdm
 
     from sixthsense.figures.animation import MOST_FRAMES, animate
@@ -111,4 +104,4 @@ def _animate(run: Run, folder: str, film: Path, prior: PriorStart | None) -> Non
     prepare(announce)
     frames = min(MOST_FRAMES, len(run.trace.stamps_ns))
     with tqdm(total=frames, desc=film.name, disable=None, leave=False) as bar:
-        animate(folder, run.trace, film, run.title, frames, bar.update, prior)
+        animate(folder, run.trace, film, run.title, frames, bar.update)

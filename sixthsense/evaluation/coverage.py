@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import beam_bearings
 from sixthsense.core.ray_casting import Beams, beams_of, cast_among, near_walls
 from sixthsense.core.se2 import Triple
@@ -93,11 +93,8 @@ def visible_area(
     beams pass through glass. A full circle of beams of
     `laser_range` is cast from one reachable position in each square of 0.3 m. Positions lie within the
     bounds of region, walls and start. In a very large scene, cells and squares are enlarged to bound memory and time.
-    Raises ValueError for an empty region, or a start where the disc touches a wall.
     """
     low, high = np.array(region[:2]), np.array(region[2:])
-    if not (low < high).all():
-        raise ValueError(f"region: found {region}, allowed: x0 y0 x1 y1 with x0 < x1 and y0 < y1")
     # Positions beyond the laser's range from the region see nothing of it, but may connect others that do.
     solid = walls if glass is None else np.concatenate([walls, glass])
     corners = np.concatenate([solid.reshape(-1, 2), [low, high, start]])
@@ -118,9 +115,6 @@ def visible_area(
 
     # The free space around the start may be smaller than a cell, so that none is reachable.
     reachable = _connected(room >= disc, (np.asarray(start) - origin) / cell_m)
-    touched = point_segment_distance(np.asarray(start, dtype=np.float64), solid) < radius
-    if touched.any() and not reachable.any():
-        raise ValueError(f"start: found ({start[0]:g}, {start[1]:g}), allowed: a place where the robot touches no wall")
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 

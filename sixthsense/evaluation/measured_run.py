@@ -98,24 +98,18 @@ class MeasuredRun:
     def landmarks(self) -> pd.DataFrame:
         """The landmarks of the final map: a row each with index `id`, world frame, metres and radians.
 
-        `kind`; of a point `x`, `y` and their standard deviations `sigma_*`; of a wall its normal's angle `alpha` and
-        distance `d` from the origin, theirs, and the ends of its seen part, `from_x` to `to_y`; `observations`, the
-        number of them. NaN where a kind has no such column.
+        The columns of `landmarks.csv`, and standard deviations. `kind`; of a point `x`, `y`; of a wall its normal's
+        angle `alpha` and distance `d` from the origin, and the ends of its seen part, `from_x` to `to_y`; `cov_*` and
+        `sigma_*` of both; `observations`, the number of them. NaN where a kind has no such column.
         """
         import pandas as pd
 
-        trace, final = self.trace, self.trace.final
-        sigmas = np.sqrt(np.maximum(np.diag(trace.joint_cov)[3:], 0.0)).reshape(-1, 2)
-        rows = []
-        for i, mean, sigma, is_wall in zip(final.ids.tolist(), final.landmarks, sigmas, final.walls, strict=True):
-            record, names = trace.records[i], ("alpha", "d") if is_wall else ("x", "y")
-            row: dict[str, Any] = {"kind": record.kind.name.lower(), "observations": record.observations}
-            row |= dict(zip(names, mean.tolist(), strict=True))
-            row |= {f"sigma_{name}": value for name, value in zip(names, sigma.tolist(), strict=True)}
-            if is_wall:
-                row |= dict(zip(_ENDS, record.extent.ravel().tolist(), strict=True))
-            rows.append(row)
-        return pd.DataFrame(rows, pd.Index(final.ids.tolist(), name="id", dtype="int64"), _LANDMARK_COLUMNS)
+        from sixthsense.record.exports import LANDMARK_COLUMNS, landmark_rows
+
+        frame = pd.DataFrame(landmark_rows(self.trace), columns=list(LANDMARK_COLUMNS)).set_index("id")
+        for name, cov in (("x", "cov_xx"), ("y", "cov_yy"), ("alpha", "cov_alpha_alpha"), ("d", "cov_d_d")):
+            frame[f"sigma_{name}"] = np.sqrt(np.maximum(frame[cov].astype(np.float64), 0.0))
+        return frame
 
     def sample(self, name: str) -> Sample:
         """The run under a name, as one of several that are compared."""
@@ -236,12 +230,6 @@ def _near(folder: Path) -> str:
 def numbered_names(names: Sequence[str]) -> list[str]:
     """The names, with a number where several are equal."""
     return [f"{name} ({k + 1})" if names.count(name) > 1 else name for k, name in enumerate(names)]
-
-
-_ENDS = ("from_x", "from_y", "to_x", "to_y")
-_LANDMARK_COLUMNS = [
-    "kind", "x", "y", "sigma_x", "sigma_y", "alpha", "d", "sigma_alpha", "sigma_d", *_ENDS, "observations"
-]  # fmt: skip
 
 
 def _columns(poses: Array, name: str) -> dict[str, Array]:

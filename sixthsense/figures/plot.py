@@ -59,24 +59,19 @@ def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
     return np.asarray(mean + circle * np.sqrt(CHI2_95 * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def known_cells(trace: Trace) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:
+def known_blocks(
+    trace: Trace, most: int | None = None
+) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:
     """The occupancy within the bounds of the known cells, and its extent: left, right, bottom, top, metres.
 
-    None for a trace without a grid, or without a known cell.
+    In square blocks of cells where they are more than `most` along a side: a block with an obstacle is one, and one
+    with a free cell is free. Blocks begin at multiples of their side, so that they stay where they are when the map
+    grows. None for a trace without a grid, or without a known cell.
     """
     if trace.grid is None:
         return None
-    return known_part(trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
-
-
-def known_blocks(trace: Trace, most: int) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:
-    """As `known_cells`, in square blocks of cells where they are more than `most` along a side.
-
-    A block with an obstacle is one, and one with a free cell is free. Blocks begin at multiples of their side, so that
-    they stay where they are when the map grows.
-    """
-    known = known_cells(trace)
-    if known is None or max(known[0].shape) <= most:
+    known = known_part(trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
+    if known is None or most is None or max(known[0].shape) <= most:
         return known
     blocks, (left, _, bottom, _) = known
     cell_m, side = trace.config.grid.cell_m, -(-max(blocks.shape) // most)
@@ -341,26 +336,15 @@ def map_height(ax: Any, width_in: float) -> float:
     return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LEAST_HEIGHT_IN), _MOST_HEIGHT_IN) + _FRAME_IN)
 
 
-def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = None, *, ax: Any = None) -> None:
-    """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made.
-
-    On `ax`, an Axes of matplotlib, the map is drawn in place, and the figure that the axes are in is written.
-    """
+def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = None) -> None:
+    """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made."""
     trace = run.trace if isinstance(run, MeasuredRun) else run
-    title = title if title is not None else trace.outcome
-    if ax is None:
-        save(map_figure(trace, title), file)
-        return
-    draw_map(ax, trace)
-    ax.set_title(title)
-    save(ax.get_figure(root=True), file)
+    save(map_figure(trace, trace.outcome if title is None else title), file)
 
 
-def map_figure(
-    trace: Trace, title: str, width_in: float = MAP_WIDTH_IN, legend: bool = True, figure: Picture | None = None
-) -> Picture:
-    """The map as a figure, by default a new one, whose height follows from the shape of the map."""
-    figure = figure or new_figure(width_in, width_in)
+def map_figure(trace: Trace, title: str, width_in: float = MAP_WIDTH_IN, legend: bool = True) -> Picture:
+    """The map as a new figure, whose height follows from the shape of the map."""
+    figure = new_figure(width_in, width_in)
     ax = figure.add_subplot()
     draw_map(ax, trace)
     figure.set_size_inches(width_in, map_height(ax, width_in))

@@ -263,43 +263,27 @@ def _notes(run: MeasuredRun) -> dict[str, dict[str, Any]]:
     return {name: table[name] for name in NOTES if isinstance(table.get(name), dict)}
 
 
-_LOGS = ("log", "merged_with")
-"""inputs of a replay that are arguments of its command"""
-
-
 def _reproduction(name: str, run: MeasuredRun) -> str:
     """The commands that repeat a run, and the versions that produced it."""
     lines, notes = [name] if name else [], _notes(run)
     if run.folder is not None:
-        replayed, config = notes.get("replayed", {}), shlex.quote(str(run.folder / "config.toml"))
-        logs = " ".join(shlex.quote(str(replayed[key])) for key in _LOGS if key in replayed)
-        more = "".join(
-            f" --{key.replace('_', '-')} {shlex.quote(str(value))}"
-            for key, value in replayed.items()
-            if key not in _LOGS
-        )
-        command = f"sixthsense run --config {config}"
-        if logs:
-            command = f"sixthsense {'merge' if _LOGS[1] in replayed else 'replay'} {logs} --config {config}{more}"
-        elif replayed:
-            command = f"sixthsense live{more} --config {config}"
-        prior = _prior_map_options(notes.get("prior_map", {}))
-        lines.append(command + prior)
-        lines += ["or, from the recorded sensor data:", f"sixthsense replay {shlex.quote(str(run.folder))}{prior}"]
+        replayed, prior = dict(notes.get("replayed", {})), dict(notes.get("prior_map", {}))
+        logs = [str(replayed.pop(key)) for key in ("log", "merged_with") if key in replayed]
+        command = ("merge" if len(logs) > 1 else "replay" if logs else "live") if "replayed" in notes else "run"
+        digest = str(prior.pop("digest", ""))[:12]
+        prior = {"prior_map" if key == "name" else key: value for key, value in prior.items()}
+        options = _words({"config": run.folder / "config.toml"} | replayed | prior)
+        lines += [shlex.join(["sixthsense", command, *logs, *options]), "or, from the recorded sensor data:"]
+        lines.append(shlex.join(["sixthsense", "replay", str(run.folder), *_words(prior)]))
         if prior:
-            note = notes["prior_map"]
-            lines.append(f"{note['name']} is the folder of the prior map ({str(note.get('digest', ''))[:12]})")
+            lines.append(f"{prior.get('prior_map')} is the folder of the prior map ({digest})")
     versions = notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
     return "\n".join([*lines, f"run by {', '.join(f'{key} {version}' for key, version in versions.items())}"])
 
 
-def _prior_map_options(note: Any) -> str:
-    """The options of a run that began with a prior map, whose folder is known by its name only."""
-    if not isinstance(note, Mapping) or "name" not in note:
-        return ""
-    options = f" --prior-map {shlex.quote(str(note['name']))}" + " --lost" * (note.get("lost") is True)
-    for name in ("pose", "pose_sigma"):
-        value = note.get(name)
-        if isinstance(value, list) and (name == "pose" or any(value)):  # sigmas are 0 by default
-            options += f" --{name.replace('_', '-')} {' '.join(shlex.quote(str(number)) for number in value)}"
-    return options
+def _words(options: Mapping[str, Any]) -> Iterator[str]:
+    """Options and their values as words of a command line; sigmas of 0, which are the default, are left out."""
+    for key, value in options.items():
+        if key != "pose_sigma" or any(value):
+            yield f"--{key.replace('_', '-')}"
+            yield from () if value is True else map(str, value if isinstance(value, list) else [value])

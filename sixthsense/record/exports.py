@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.covariance import root_information
+from sixthsense.core.covariance import landmark_covariances, root_information
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Observation
 from sixthsense.record.trace import Trace
@@ -64,25 +64,29 @@ def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:
     return f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
 
 
-LANDMARK_COLUMNS = (
-    "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
-)  # fmt: skip
+_POINT = ("x", "y", "cov_xx", "cov_xy", "cov_yy")
+_WALL = ("alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d")
+_EXTENT = ("from_x", "from_y", "to_x", "to_y")
+LANDMARK_COLUMNS = ("id", "kind", *_POINT, *_WALL, "observations", *_EXTENT)
+
+
+def landmark_rows(trace: Trace) -> Iterator[dict[str, Any]]:
+    """A row for each landmark of the final map: mean and covariance and, of a wall, the extent of what was seen."""
+    estimate, covs = trace.final, landmark_covariances(trace.joint_cov)
+    for k, i in enumerate(estimate.ids.tolist()):
+        record, names = trace.records[i], _WALL if estimate.walls[k] else _POINT
+        values = [*estimate.landmarks[k].tolist(), *covs[k][np.triu_indices(2)].tolist()]
+        row = {"id": i, "kind": record.kind.name.lower(), "observations": record.observations}
+        row |= zip(names, values, strict=True)
+        yield row | dict(zip(_EXTENT, record.extent.ravel().tolist() if estimate.walls[k] else (), strict=False))
 
 
 def write_landmarks(folder: Path, trace: Trace) -> None:
-    """Write `landmarks.csv`: means, covariances and, of walls, the extent of what was seen."""
-    estimate, records = trace.final, trace.records
+    """Write the rows of the landmarks as `landmarks.csv`, empty where a kind has no such column."""
     with whole(folder / "landmarks.csv") as file, file.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.writer(out)
-        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "observations", "from_x", "from_y", "to_x", "to_y"])
-        for k, i in enumerate(estimate.ids.tolist()):
-            block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
-            record = records[i]
-            values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
-            # A point has x and y. A wall has alpha and d, and the extent of its seen part.
-            columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
-            extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
-            writer.writerow([i, record.kind.name.lower(), *columns, record.observations, *extent])
+        writer = csv.DictWriter(out, LANDMARK_COLUMNS)
+        writer.writeheader()
+        writer.writerows(landmark_rows(trace))
 
 
 def known_part(

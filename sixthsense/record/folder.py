@@ -79,16 +79,16 @@ class RunFolder:
 
     def _reserved(self) -> FolderLock:
         """The lock on a new `OUT.partial`; what a run that did not finish has recorded there is moved away."""
-        while True:
-            if os.path.lexists(self.partial) and not _is_just_made(self.partial):
-                _check_is_run(self.partial)
-            lock = FolderLock(self.partial)
-            if not has_record(self.partial):
-                return lock
-            kept = lock.folder = self._numbered()
-            self.partial.rename(kept)
-            lock.release()
-            self.notes.append(f"{self.partial} of a run that did not finish is kept as {kept}")
+        if os.path.lexists(self.partial) and not _is_just_made(self.partial):
+            _check_is_run(self.partial)
+        lock = FolderLock(self.partial)
+        if not has_record(self.partial):
+            return lock
+        kept = lock.folder = self._numbered()
+        self.partial.rename(kept)
+        lock.release()
+        self.notes.append(f"{self.partial} of a run that did not finish is kept as {kept}")
+        return self._reserved()
 
     def _numbered(self) -> Path:
         """The first unused path of `OUT.1.partial`, `OUT.2.partial`, ..."""
@@ -115,17 +115,18 @@ class RunFolder:
             self._check_out()
         except InputError as error:
             raise InputError(error.where, error.found, f"{error.allowed}; the run is in {self.partial}") from None
-        old, kept = self._numbered() if os.path.lexists(self.out) else None, []
-        if old is not None:
+        old, kept = self._numbered(), []
+        has_old = os.path.lexists(self.out)
+        if has_old:
             self.out.rename(old)
         try:
             self.partial.rename(self.out)
         except BaseException:
-            if old is not None:
+            if has_old:
                 old.rename(self.out)
             raise
         self._lock.folder = self.out
-        if old is not None:
+        if has_old:
             kept = sorted(entry.name for entry in old.iterdir() if entry.name not in _OWN)
             for name in kept:
                 (old / name).rename(self.out / name)

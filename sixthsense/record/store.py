@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ import numpy as np
 from sixthsense.config import load_config, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute, instead_of, path_of
+from sixthsense.config.section import checked
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Pose
 from sixthsense.logs.runfolder import FILE, Message, read_messages, readable, ticks_of
@@ -149,19 +149,18 @@ def prior_start(
 
     Raises InputError for a pose or sigmas that are not allowed, and without a folder; InputError as `read_prior_map`.
     """
-    given = {name: value for name, value in (("pose", pose), ("pose_sigma", sigma)) if value is not None}
+    given = [name for name, value in (("pose", pose), ("pose_sigma", sigma)) if value is not None]
     if folder is None:
         for name in ("lost",) if lost else given:
             raise InputError(name, "found without `prior_map`", "with it")
         return None
-    for name, value in given.items():
-        is_number = [isinstance(number, int | float) and math.isfinite(number) for number in value]
-        if len(value) != 3 or not all(is_number):
-            raise InputError(name, f"found {' '.join(map(str, value))}", "three finite numbers")
-        if lost:
-            raise InputError(name, "found with `lost`", "one of both")
-    if sigma is not None and min(sigma) < 0.0:
-        raise InputError("pose_sigma", f"found {' '.join(map(str, sigma))}", "at least 0")
-    x, y, theta = (0.0, 0.0, 0.0) if sigma is None else map(float, sigma)
-    there = None if pose is None else Pose.from_array(np.array(pose, dtype=np.float64))
-    return PriorStart(read_prior_map(folder), there, (x, y, theta), lost)
+    if lost and given:
+        raise InputError(given[0], "found with `lost`", "one of both")
+    place, spread = (
+        None if value is None else checked(name, tuple[float, float, float], value)
+        for name, value in (("pose", pose), ("pose_sigma", sigma))
+    )
+    if spread is not None and min(spread) < 0.0:
+        raise InputError("pose_sigma", f"found {' '.join(map(str, spread))}", "at least 0")
+    there = None if place is None else Pose(*place)
+    return PriorStart(read_prior_map(folder), there, spread or (0.0, 0.0, 0.0), lost)

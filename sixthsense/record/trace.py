@@ -125,7 +125,7 @@ class Live:
     features: Features | None = None
     """features of the last keyframe; robot's frame"""
     since_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) of the motion since the last keyframe, axes of the keyframe"""
+    """(3, 3) of the motion since the last keyframe, axes of the present pose"""
     verdict: Verdict | None = None
     """on the map so far, where someone asks for it"""
 
@@ -166,7 +166,7 @@ class Trace:
     since_key: list[Array] = field(default_factory=list)
     """per scan: (3,) odometry since that keyframe"""
     since_covs: list[Array] = field(default_factory=list)
-    """per scan: (3, 3) covariance of that motion when the scan was taken, axes of the keyframe"""
+    """per scan: (3, 3) covariance of that motion when the scan was taken, axes of the scan's pose"""
     key_stamps_ns: list[int] = field(default_factory=list)
     """per keyframe: record time"""
     key_odometry: list[Odometry] = field(default_factory=list)

@@ -64,22 +64,17 @@ class FolderLock:
         """where the locked folder is, which may be renamed"""
         place = folder.absolute()
         self._made = [path for path in (place, *place.parents) if not path.exists()]
-        self._descriptor = -1
-        while self._descriptor < 0:
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.path.samestat(os.fstat(descriptor), (folder / LOCK).stat()):
-                    self._descriptor = descriptor
-            except BlockingIOError:
-                found, allowed = f"found another process that writes {folder}", "another folder, or wait for its end"
-                raise FolderInUseError("out", found, allowed) from None
-            except FileNotFoundError:  # the folder was renamed meanwhile
-                pass
-            finally:
-                if self._descriptor != descriptor:
-                    os.close(descriptor)
+        folder.mkdir(parents=True, exist_ok=True)
+        self._file = (folder / LOCK).open("ab")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_here = os.path.samestat(os.fstat(self._file.fileno()), (folder / LOCK).stat())
+        except (BlockingIOError, FileNotFoundError):
+            is_here = False
+        if not is_here:  # locked, or renamed meanwhile by the process that had locked it
+            self._file.close()
+            found, allowed = f"found another process that writes {folder}", "another folder, or wait for its end"
+            raise FolderInUseError("out", found, allowed)
 
     def __enter__(self) -> FolderLock:
         return self
@@ -89,12 +84,11 @@ class FolderLock:
 
     def release(self) -> None:
         """Release the lock, and remove the folder and the parents that were made if nothing is in them."""
-        if self._descriptor < 0:
+        if self._file.closed:
             return
         with contextlib.suppress(OSError):
             (self.folder / LOCK).unlink()
-        os.close(self._descriptor)
-        self._descriptor = -1
+        self._file.close()
         for place in self._made:
             with contextlib.suppress(OSError):  # not empty
                 place.rmdir()

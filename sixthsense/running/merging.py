@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config import Config, load_config, merge
 from sixthsense.config.errors import InputError
@@ -25,7 +24,6 @@ from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_verdict
 from sixthsense.record.trace import Trace
 from sixthsense.running.runs import RunHooks, replay_log
-from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
 from sixthsense.verdict.evidence import between_runs
@@ -46,41 +44,22 @@ class Merged(ReplayInput):
 class Ties(NamedTuple):
     """What holds the two runs of a merged map together."""
 
-    overlap_m2: float
-    """area that both have seen"""
     links: int
     """between keyframes of the one and of the other"""
     agreement: float
     """share of the returns of each that the other confirms, of those that it can judge; NaN where it can judge none"""
 
     def __str__(self) -> str:
-        seen = f"both runs have seen {self.overlap_m2:,.0f} m², {self.links:,} links join them"
         agree = "" if math.isnan(self.agreement) else f", they agree in {100.0 * self.agreement:.1f} % of what both saw"
-        return seen + agree
+        return f"{self.links:,} links join both runs{agree}"
 
 
 def ties(trace: Trace, begin_ns: int) -> Ties:
     """What ties the keyframes of a merged run before and from a stamp on."""
     first = int(np.searchsorted(trace.key_stamps_ns, begin_ns))
     links = 0 if trace.links is None else int(np.sum((trace.links.ends < first).sum(axis=1) == 1))
-    seen = [_seen(trace, rows) for rows in (range(first), range(first, len(trace.trajectory)))]
-    cells = np.intersect1d(seen[0], seen[1], assume_unique=True)
     confirmed, through = between_runs(trace.witnesses(), first)
-    share = confirmed / (confirmed + through) if confirmed + through else math.nan
-    return Ties(len(cells) * trace.config.grid.cell_m**2, links, share)
-
-
-def _seen(trace: Trace, rows: range) -> NDArray[np.int64]:
-    """(n,) the cells that some keyframes have seen, each as one number."""
-    mapper = Mapper(trace.config.grid, trace.radius_m)
-    for k in rows:
-        scan = trace.key_scans[k]
-        if scan is not None:
-            mapper.add(k, lambda: trace.trajectory, scan, np.zeros((0, 2, 2)))
-    mapper.complete(trace.trajectory)
-    found = mapper.grid.submap()
-    cells = found.cells[found.seen].astype(np.int64)
-    return np.asarray(cells[:, 0] * 2**32 + cells[:, 1])
+    return Ties(links, confirmed / (confirmed + through) if confirmed + through else math.nan)
 
 
 def open_merged(

@@ -31,7 +31,7 @@ from sixthsense.figures.plot import (
     WALL,
     WALL_FOUND,
     ellipse,
-    known_cells,
+    known_blocks,
     landmarks_of,
     walker_outlines,
 )
@@ -160,7 +160,7 @@ class Drawing:
         self._stream.disconnect()
 
     def _grid(self, trace: Trace) -> None:
-        grid, known = trace.draw_map(), known_cells(trace)
+        grid, known = trace.draw_map(), known_blocks(trace)
         if known is None or grid is None:
             return
         part, (left, _, bottom, _) = known

@@ -173,7 +173,7 @@ REFUSED = [
     (changed(at=GOOD.stamps + 100.0), {}, "times that overlap"),
     (changed(at=GOOD.stamps[:1], truth=GOOD.truth[:1]), {}, "times that overlap"),
     (changed(stamps=GOOD.stamps[:1], estimate=GOOD.estimate[:1], covs=GOOD.covs[:1]), {"align": "first"}, "two or mor"),
-    (changed(), {"time_offset": 0.0}, "allowed: the largest one to search, s, above 0"),
+    (changed(), {"time_offset": 0.0}, "time_offset: found 0.0, allowed: above 0 to 1e+06"),
     (changed(), {"frame": "robot"}, "frame: found 'robot'"),
     (([arrays(GOOD)[0], arrays(SPACE)[0]], [arrays(GOOD)[1], arrays(SPACE)[1]]), {}, "allowed: all in one of them"),
     (([arrays(GOOD)[0]] * 3, [arrays(GOOD)[1]] * 2), {}, "truth: found 2 for 3 estimates"),

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 
 import sixthsense as ss
 from sixthsense.auditing.pairs import power
-from sixthsense.cli import main
 from sixthsense.config.errors import InputError
 
 COV = np.array([[64.0, 8.0, 0.0], [8.0, 9.0, 1.0], [0.0, 1.0, 1.0]]) * 1e-4
@@ -101,24 +100,6 @@ def test_errors_that_both_share_hide_and_are_told_as_less_than_allowed():
     first, second = (system(2000, shared + 0.3 * errors(rng, 2000)) for _ in range(2))
     found = ss.audit(first, pair=second)
     assert found.outcome == "cautious" and "depend on each other" in found.verdict
-
-
-def test_a_pair_of_files_is_audited_by_the_command(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    rng = np.random.default_rng(7)
-    for name, times in (("a", 3.0), ("b", 1.0)):
-        stamps, poses, covs = system(200, times * errors(rng, 200))
-        half = 0.5 * poses[:, 2]
-        zero = np.zeros(200)
-        tum = np.column_stack([stamps, poses[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
-        np.savetxt(f"{name}.tum", tum)
-        np.savetxt(f"{name}.cov", np.column_stack([stamps, covs[:, *np.triu_indices(3)]]))
-    line = "audit a.tum --pair b.tum --covariance a.cov b.cov --json x.json"
-    assert main(line.split()) == 0
-    said = capsys.readouterr().out
-    assert "pair         b.tum" in said and "power        one whose errors" in said
-    assert "at least one is overconfident by " in said and "if b.tum is honest, a.tum by 2." in said
-    assert main([*line.split(), "--overwrite", "--require", "consistent"]) == 1
 
 
 @pytest.mark.parametrize(

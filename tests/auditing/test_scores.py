@@ -104,16 +104,3 @@ def test_errors_of_trajectories_are_those_of_evo(poses):
     estimate.align(true)
     expected = statistic(metrics.APE(relation.translation_part), (true, estimate))
     assert own.aligned_ate_m == pytest.approx(expected, abs=1e-6) and expected < 0.1 < own.ate_m
-
-
-def test_runs_are_pooled_by_their_poses():
-    truth, error = planar(seed=6)
-    parts = [slice(0, 400), slice(400, 1500)]
-    covs = np.broadcast_to(COV, (N, 3, 3))
-    estimates = [(STAMPS[part], (truth + error)[part], covs[part]) for part in parts]
-    found = ss.audit(estimates, [(STAMPS[part], truth[part]) for part in parts])
-    assert found.trajectory.ate_m == pytest.approx(math.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))))
-    assert (
-        "coverage     inside the regions of 50, 90, 95 %: pose" in repr(found)
-        and found.as_dict()["findings"]["scores"]["pose"]
-    )

@@ -56,7 +56,7 @@ def test_a_lost_scheduler_is_told_and_a_lost_worker_is_a_row():
     def row_after(error):
         future = Future()
         future.set_exception(error)
-        return _row(future, run.config)
+        return _row(future, run)
 
     found = row_after(KilledWorker("a task", None, 3))  # type: ignore[arg-type]
     assert (found["outcome"], found["error"]) == ("error", "LostWorkerError: 4 workers died in this run")

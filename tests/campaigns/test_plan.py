@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import tomli_w
-from PIL import Image
 from settings import changed, flat, nested
 
 import sixthsense as ss
@@ -53,12 +52,12 @@ def test_what_is_no_range_of_seeds_is_refused(text: str) -> None:
 def test_a_plan_is_the_product_of_its_axes_each_run_once_and_seed_by_seed() -> None:
     axes = {"scene": ["rectangle", "block"], "estimator": ["ekf", "isam2"], "preset": ["default", "worn"]}
     runs = plan(campaign_of({**AXES, **axes, "planner": ["astar", "astar"]}, [4, 2, 4], FIELDS))
-    assert len({tuple(run.axes().values()) for run in runs.values()}) == len(runs) == 16
+    assert len({(run.scene, run.estimator, run.preset, run.seed) for run in runs.values()}) == len(runs) == 16
     assert [run.seed for run in runs.values()] == 8 * [4] + 8 * [2]
-    assert all(config_hash(run.config) == key for key, run in runs.items())
+    assert all(config_hash(run) == key for key, run in runs.items())
     for run in runs.values():
-        base = merge(ss.preset(run.setting.preset), {**FIELDS, "scene": run.setting.scene, "seed": run.seed})
-        assert run.config == merge(base, {"estimator": run.setting.estimator})
+        base = merge(ss.preset(run.preset), {**FIELDS, "scene": run.scene, "seed": run.seed})
+        assert run == merge(base, {"estimator": run.estimator})
     with pytest.raises(InputError, match="found 100001 runs, allowed: at most 100000"):
         plan(CampaignPlan({axis: tuple(values) for axis, values in AXES.items()}, tuple(range(100_001)), FIELDS))
 
@@ -86,27 +85,6 @@ def test_the_hash_of_a_scene_tells_all_that_it_holds_and_not_its_name(name: str)
     )
 
 
-def map_file(grey: int) -> str:
-    cells = np.full((20, 30), 254, np.uint8)
-    cells[:, 0] = cells[:, -1] = cells[0] = cells[-1] = 0
-    cells[8:12, 8:12] = grey
-    Image.fromarray(cells).save("hall.pgm")
-    fields = (
-        "image: hall.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
-    )
-    Path("hall.yaml").write_text(fields)
-    return "hall.yaml"
-
-
-def test_the_hash_of_a_map_is_that_of_the_walls_which_its_unknown_cells_make() -> None:
-    unknown = {way: scene_digest(map_file(205), way) for way in ("wall", "free")}
-    assert unknown["wall"] == scene_digest(map_file(0)) and unknown["free"] == scene_digest(map_file(254), "free")
-    assert unknown["wall"] != unknown["free"]
-    for way, fields in (("wall", {}), ("free", {"map_unknown": "free"})):
-        (found,) = campaign_of({**AXES, "scene": [map_file(205)]}, [0], fields).digests().values()
-        assert found == unknown[way]
-
-
 # Folders
 
 
@@ -116,8 +94,8 @@ def done() -> CampaignPlan:
     planned = campaign_of({**AXES, "scene": [scene_file(), "loop"], "estimator": ["ekf", "isam2"]}, range(3), FIELDS)
     save_folder(Path("mc"), planned, None)
     for key, run in plan(planned).items():
-        error = 1.0 + run.seed + 10.0 * (run.setting.estimator == "isam2")
-        row = {**worker.row_of(run.config), "config_hash": key, "outcome": "tour ended", "host": "h", "version": "1"}
+        error = 1.0 + run.seed + 10.0 * (run.estimator == "isam2")
+        row = {**worker.row_of(run), "config_hash": key, "outcome": "tour ended", "host": "h", "version": "1"}
         row |= {
             "ate_rmse_m": error,
             **{f"rpe_{part}_{m}m": error * m for part in ("trans_m", "rot_deg") for m in (1, 2)},
@@ -143,33 +121,22 @@ class Own(EKF):
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "another value": (lambda: call(max_time=5.0), "a campaign with max_time = 4.0, found 5.0"),
-    "another nested value": (lambda: call(features={"deskew": True}), "with features.deskew = False, found True"),
     "one more field": (lambda: call(keyframes={"turn_rad": 0.2}), "keyframes.turn_rad = the preset's, found 0.2"),
-    "one field less": (lambda: call(laser={}), "laser.mount = .*, found the preset's"),
     "another scene of that name": (lambda: (scene_file(glass=[]), call()), "the scene .*hall.toml has changed since"),
-    "walks of that scene": (lambda: (scene_file(walkers=[]), call()), "the scene .*hall.toml has changed since"),
     "a file": (lambda: call(out="hall.toml"), "is a file"),
     "another folder": (lambda: (Path("a").mkdir(), Path("a/b").touch(), call(out="a")), "not a campaign folder"),
-    "a run": (lambda: (Path("a").mkdir(), Path("a/config.toml").touch(), call(out="a")), "the folder of a run"),
-    "no seed": (lambda: call(seeds=[]), "^seeds: found none"),
+    "no seed": (lambda: call(seeds=[]), r"^seeds: found \(\)"),
     "a seed below 0": (lambda: call(seeds=[-1]), "^seeds: found -1"),
-    "a truth value": (lambda: call(seeds=[True]), "^seeds: found True"),
     "one number": (lambda: call(seeds=3), "^seeds: found 3"),
-    "no scene": (lambda: call(scenes=[]), "^scenes: found "),
-    "a scene as a field": (lambda: call(scene="block"), "^scene: found for a campaign, allowed: scenes"),
     "a seed as a field": (lambda: call(seed=1), "^seed: found for a campaign, allowed: seeds"),
-    "no estimator": (lambda: call(estimator=[]), "^estimator: found "),
     "an own estimator": (lambda: call(estimator=[lambda start, cov: None]), "^estimator: found .*<lambda>, allowed"),
-    "one that is nowhere": (lambda: call(estimator="no_lab:Own"), "^estimator: found no_lab:Own, which cannot be"),
     "a programs own": (lambda: call(planner="__main__:Own"), "^planner: found __main__:Own, which is of the program"),
     "unknown options": (
         lambda: call(estimator=f"{__name__}:Own", estimator_options={"x": 1}),
         "^estimator_options.x: no such option, allowed: gain",
     ),
-    "no worker": (lambda: call(workers=0), "^workers: found 0, allowed: a whole number from 1 to 1024"),
-    "too many workers": (lambda: call(workers=1025), "^workers: found 1025"),
+    "no worker": (lambda: call(workers=0), "^workers: found 0, allowed: 1 to 1024"),
     "a goal in a wall": (lambda: call(task="goal", goal=(1.0, 3.1)), r"^goal: found \(1, 3\.1\), .* from a wall"),
-    "a goal with another task": (lambda: call(goal=(1.0, 1.0)), "^goal: found with `task` tour"),
 }
 
 
@@ -183,20 +150,9 @@ def test_a_campaign_that_contradicts_itself_or_its_folder_is_refused(name: str, 
     assert {file: file.read_bytes() for file in Path("mc").rglob("*") if file.is_file()} == before
 
 
-def test_a_row_of_a_run_with_another_configuration_is_refused(done: CampaignPlan) -> None:
-    key, run = next(iter(plan(done).items()))
-    lines = Path("mc/rows.jsonl").read_text().splitlines(keepends=True)
-    Path("mc/rows.jsonl").write_text("".join(line for line in lines if key not in line))
-    CampaignRows(Path("mc")).add(
-        {**worker.row_of(run.config), "config_hash": "f" * 16, "outcome": "x", "version": "0.0"}
-    )
-    with pytest.raises(InputError, match=r"with another configuration, from version 0\.0"):
-        call()
-
-
 @pytest.mark.parametrize(("old", "new", "said"), [
-    ("[axes]", "[axes", "is not TOML"), ("[fields", "[other", "fields: found no such table"),
-    ('"worn"', "3", r"axes.preset: found \[3\], allowed: a list of texts"), ("0:3", "0:x", "axes.seeds: found"),
+    ("[axes]", "[axes", "is not TOML"), ("[fields", "[other", "campaign.toml: fields"), ("0:3", "0:x", "axes.seeds: "),
+    ('"worn"', "3", "axes.preset: found 3, allowed: a text"), ("planner = ", "other = ", "axes.planner: found nothing"),
 ])  # fmt: skip
 def test_a_damaged_table_of_a_campaign_is_named(done: CampaignPlan, old: str, new: str, said: str) -> None:
     text = Path("mc/campaign.toml").read_text()
@@ -210,21 +166,8 @@ def test_the_folder_keeps_the_axes_and_scenes_of_earlier_commands(done: Campaign
     more = campaign_of({**AXES, "scene": ["block"], "estimator": ["ekf-fej"]}, [7], FIELDS)
     save_folder(Path("mc"), more, read_folder(Path("mc")))
     saved, scenes = read_folder(Path("mc")), [*done.values["scene"], "block"]
-    assert (saved["axes"]["estimator"], saved["axes"]["seeds"]) == (["ekf", "isam2", "ekf-fej"], ["0:3", "7:8"])
-    assert saved["axes"]["scene"] == scenes and saved["scenes"] == done.digests() | more.digests()
-
-
-def test_rows_come_back_with_their_numbers_and_texts_and_a_second_one_replaces_the_first() -> None:
-    rows = CampaignRows(Path("c"))
-    fixed = {"scene": "a", "preset": "p", "planner": "q", "outcome": "explored", "version": "1"}
-    for seed, key in ((2, "b" * 16), (1, "a" * 16), (2, "b" * 16)):
-        more = {"ate_rmse_m": 0.25 * seed, "plans": 3 * seed} if seed == 2 else {"guard_stops": 7}
-        rows.add({**fixed, "config_hash": key, "seed": seed, "estimator": "ekf", **more, "nothing": None})
-    frame = CampaignRows(Path("c")).frame()
-    assert frame["seed"].tolist() == [1, 2] and frame["config_hash"].tolist() == ["a" * 16, "b" * 16]
-    assert frame["ate_rmse_m"][1] == 0.5 and frame["plans"][1] == 6.0 and frame["guard_stops"][0] == 7.0
-    assert frame[["ate_rmse_m", "plans"]].iloc[0].isna().all() and np.isnan(frame["guard_stops"][1])
-    assert [row["seed"] for row in CampaignRows(Path("c")).rows.read().values()] == [2, 1]
+    assert (saved.axes["estimator"], saved.axes["seeds"]) == (["ekf", "isam2", "ekf-fej"], ["0:3", "7:8"])
+    assert saved.axes["scene"] == scenes and saved.scenes == done.digests() | more.digests()
 
 
 def test_a_campaign_is_compared_in_groups_over_its_seeds(done: CampaignPlan, explored: ss.Run) -> None:
@@ -276,7 +219,7 @@ def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeyp
     one = planned(monkeypatch, line)
     assert one.values["front_end"] == ("landmarks", "scan-matching") and one.values["explorer"] == ("random",)
     assert "extractor" not in one.values and "front_end" not in one.fields
-    runs = [run.config for run in plan(one).values()]
+    runs = list(plan(one).values())
     assert [(run.seed, run.front_end) for run in runs] == [
         (seed, name) for seed in (3, 4) for name in ("landmarks", "scan-matching")
     ]
@@ -287,44 +230,23 @@ def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeyp
         plan(CampaignPlan({**one.values, "estimator": ("ekf",)}, one.seeds, one.fields))
 
 
-def test_flags_beat_the_file_which_beats_the_presets(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = "estimator = 'ekf'\nscene = 'block'\nseed = 7\nmax_time = 9.0\n[laser]\nbeams = 90\nmax_range = 3.0\n"
-    Path("a.toml").write_text(text)
-    one = planned(monkeypatch, "--seeds 0:2 5 --config a.toml --laser.max-range 4 --out c")
-    assert one.seeds == (0, 1, 5) and one.fields == {"max_time": 9.0, "laser": {"beams": 90, "max_range": 4.0}}
-    assert one.values == {"scene": ("block",), "estimator": ("ekf",), "preset": ("default",), "planner": ("astar",)}
-    line = (
-        "loop --seeds 1 --config a.toml --estimator isam2 ekf --preset worn report --planner rrtstar --goal 1 2 --out c"
-    )
-    two = planned(monkeypatch, line)
-    assert two.values == {
-        "scene": ("loop",), "estimator": ("isam2", "ekf"), "preset": ("worn", "report"), "planner": ("rrtstar",)
-    }  # fmt: skip
-    assert (two.fields["task"], two.fields["goal"]) == ("goal", [1.0, 2.0])
-
-
 # Workers
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    ({}, ""), ({"minor": "3.2.9"}, "worker tcp://b: found Python 3.2, allowed: "),
-    ({"answer": ImportError("no such\nmodule")}, r"found no usable sixthsense \(ImportError: no such module\)"),
-    ({"version": "0.0.0"}, "found version 0.0.0 of sixthsense, allowed: "),
-    ({"digest": "0" * 16}, "found another scene loop than on this machine"),
+    ({}, ""), ({"Python": "3.2"}, "worker tcp://b: found another Python, 3.2, allowed: 3."),
+    (ImportError("no such\nmodule"), r"found no usable sixthsense \(ImportError: no such module\)"),
+    ({"sixthsense": "0.0.0"}, "found another sixthsense, 0.0.0, allowed: "),
+    ({"scene loop": "0" * 16}, "found another scene loop, 0000000000000000, allowed: "),
 ])  # fmt: skip
-def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], said: str) -> None:
+def test_workers_that_would_make_other_runs_are_refused(change: Any, said: str) -> None:
     one = campaign_of({**AXES, "scene": ["loop"]}, [0], {"map_unknown": "free"})
-    python = {"host": {"python": f"{worker.python_minor()}.1"}}
-    other = {"host": {"python": change["minor"]}} if "minor" in change else python
 
     def run(function: Any, *args: Any, on_error: str) -> dict[str, Any]:
         answer = function(*args)
-        bad = {**answer, "sixthsense": change.get("version", answer["sixthsense"])}
-        bad["scenes"] = {"loop": change.get("digest", answer["scenes"]["loop"])}
-        return {"tcp://a": answer, "tcp://b": change.get("answer", bad)}
+        return {"tcp://a": answer, "tcp://b": answer | change if isinstance(change, dict) else change}
 
-    versions = {"scheduler": python, "workers": {"tcp://a": python, "tcp://b": other}}
-    client = SimpleNamespace(get_versions=lambda: versions, run=run)
+    client = SimpleNamespace(run=run)
     if not said:
         check_workers(client, one)
         return
@@ -338,5 +260,5 @@ def test_a_row_has_the_axes_of_its_run_and_its_hash() -> None:
     names |= {"planner": "rrtstar", "task": "tour", "seed": 3, "extractor": "lines", "explorer": "frontier"}
     names |= {"place_search": "branch-and-bound"}
     assert worker.row_of(config) == {"config_hash": config_hash(config), **names}
-    with pytest.raises(worker.OtherVersionError):
+    with pytest.raises(InputError):
         worker.run_row(config, "0.0.0")

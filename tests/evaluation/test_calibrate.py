@@ -95,14 +95,3 @@ def test_run_accepts_the_file_of_a_calibration(capsys, tmp_path: Path, monkeypat
     assert cli.main(["run", "rectangle", "--config", "noise.toml", "--out", "run", *short]) == cli.DONE
     used, found = load_config("run/config.toml"), load_config("noise.toml")
     assert used.assumed == found.assumed and used.preset == "worn"
-
-
-def test_the_calibration_drive_keeps_away_from_glass_as_from_walls(tmp_path: Path) -> None:
-    scene = tmp_path / "glass.toml"
-    scene.write_text(
-        "start = [0.4, 0.3, 0.7]\nradius = 0.2\nregion = [-3.1, -2.2, 2.9, 2.4]\nglass = [[1.3, -2.2, 1.3, 2.4]]\n"
-        "[[polygons]]\npoints = [[-3.1, -2.2], [2.9, -2.2], [2.9, 2.4], [-3.1, 2.4]]\n"
-    )
-    walls, samples = driven(preset(**COARSE, scene=str(scene)), 60)
-    assert len(walls) == 4 and len(samples) == 60
-    assert all(s.truth.x < 1.3 - 0.2 for s in samples)

@@ -14,7 +14,6 @@ from laws.short_tours import EXPECTED, driven, replayed, scaled, short_tour, sta
 from scipy.stats import norm
 
 from sixthsense.config import preset
-from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
 
 ESTIMATORS = ("ekf-invariant", "isam2")
@@ -81,14 +80,3 @@ def test_the_prediction_is_less_certain_than_the_update():
         assert np.allclose(predicted.pose.array(), expected.array(), atol=1e-12)
         updated = trace.key_estimates[k].pose_cov
         assert np.linalg.eigvalsh(predicted.pose_cov - updated)[0] > -1e-12
-
-
-@pytest.mark.slow
-def test_a_long_tour_with_worn_wheels_stays_near_the_truth():
-    """30 tours of 300 s; the wheels' systematic errors, which no estimator knows, cost some consistency."""
-    values = [run(preset("worn", task="tour", max_time=300.0, seed=seed)) for seed in range(30)]
-    metrics = [measure(t) for t in values]
-    assert all(m["outcome"] == "tour ended" for m in metrics)
-    assert max(m["ate_rmse_m"] for m in metrics) < 0.03
-    assert max(m["ate_rmse_m"] / m["dead_reckoning_ate_rmse_m"] for m in metrics) < 1 / 3
-    assert np.mean([m["pose_nees_world_mean"] for m in metrics]) < 6.0

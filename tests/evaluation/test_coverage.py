@@ -7,7 +7,6 @@ import pytest
 from sixthsense.core.geometry import Array, point_segment_distance
 from sixthsense.core.ray_casting import beams_of
 from sixthsense.evaluation.coverage import VisibleArea, _mark, coverage, visible_area
-from sixthsense.simulation.walking_space import mark_distances
 
 CIRCLE = np.arange(360) * (2 * math.pi / 360)
 CENTRED = (0.0, 0.0, 0.0)
@@ -104,18 +103,3 @@ def test_a_beam_marks_exactly_the_cells_it_crosses() -> None:
         inside = {(r, c) for r, c in expected if 0 <= r < 10 and 0 <= c < 8}
         assert {(int(r), int(c)) for r, c in np.argwhere(first == 5)} == {cell for cell in inside if cell[0] != 4}
         assert (first[4] == 3).all()
-
-
-def test_the_clearance_of_a_cell_is_its_centres_distance_to_the_nearest_wall() -> None:
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        walls = rng.uniform(-1, 4, (5, 2, 2))
-        walls[0, 1] = walls[0, 0]
-        x0, y0, cell, reach = -0.3, 0.2, 0.17, 0.6
-        clearances = np.full((14, 19), np.inf)
-        mark_distances(walls.reshape(-1, 4), x0, y0, cell, reach, clearances)
-        for row, col in np.ndindex(14, 19):
-            centre = np.array([x0 + (col + 0.5) * cell, y0 + (row + 0.5) * cell])
-            distance = point_segment_distance(centre, walls).min()
-            found = clearances[row, col]
-            assert found == pytest.approx(distance) if distance < reach else found >= reach

@@ -241,13 +241,13 @@ def test_curves_are_the_errors_at_scans_over_time_and_the_true_path():
 
 
 def test_the_covariance_at_a_scan_is_that_at_its_keyframe_and_of_the_motion_since():
-    """By numerical derivatives of the composed pose."""
+    """By numerical derivatives of the composed pose; the motion's error has the axes of its end."""
     for k in np.flatnonzero(np.array(TRACE.last_key) >= 0).tolist():
         key = TRACE.key_estimates[TRACE.last_key[k]]
-        since = (key.pose.inverse() @ Pose(*TRACE.estimates[k])).array()
+        since = key.pose.inverse() @ Pose(*TRACE.estimates[k])
 
         def pose(errors, key=key, since=since):
-            return (Pose(*(key.pose.array() + errors[:3])) @ Pose(*(since + errors[3:]))).array()
+            return (Pose(*(key.pose.array() + errors[:3])) @ since @ Pose(*errors[3:])).array()
 
         steps = 1e-6 * np.eye(6)
         by = (

@@ -21,7 +21,7 @@ from sixthsense.evaluation.noise import LandmarkErrors, PropagationErrors
 from sixthsense.figures import calibration, plot
 from sixthsense.figures.canvas import in_millimetres
 from sixthsense.figures.kinds import plot as draw
-from sixthsense.figures.overtime import draw_coverage, draw_error, draw_nis, draw_stages, running_mean
+from sixthsense.figures.overtime import draw_coverage, draw_error, draw_nis, running_mean
 from sixthsense.figures.run import Run
 
 TRACE = made_run()
@@ -120,19 +120,6 @@ def test_the_seen_share_is_drawn_in_per_cent_over_seconds(ax):
     np.testing.assert_allclose(drawn.get_xdata(), 1e-9 * (np.array(TRACE.stamps_ns) - TRACE.stamps_ns[0]))
 
 
-def test_stages_have_a_bar_of_each_run_with_its_times(ax):
-    runs = [{"stage_ms_mean.extract": 3.26, "stage_ms_mean.update": 12.4, "scan_ms_p50": 9.96, "scan_ms_p99": 31.2},
-            {"stage_ms_mean.extract": 1.4, "scan_ms_p50": 9.94, "scan_ms_p99": 8.7}]  # fmt: skip
-    draw_stages(ax, runs, ["one", "two"])
-    assert [[bar.get_width() for bar in bars] for bars in ax.containers] == [
-        [3.26, 12.4],
-        [1.4, pytest.approx(np.nan, nan_ok=True)],
-    ]
-    assert [text.get_text() for text in ax.texts] == ["3.3", "12", "1.4", ""]
-    told = "keyframe: median {} ms, 99 % below {} ms"
-    assert ax.get_legend_handles_labels()[1] == ["one: " + told.format(10, 31), "two: " + told.format(9.9, 8.7)]
-
-
 def group(values, metrics=None, nees=None, name="g"):
     """Runs with constant errors, named as a group."""
     time_s = 1.5 * np.arange(30)
@@ -208,7 +195,7 @@ def test_a_calibration_is_drawn_with_second_moments_about_zero_and_whitened_erro
     np.testing.assert_allclose(saved[0].axes[2].collections[1].get_offsets(), white[:, [0, 2]], rtol=1e-5)
 
 
-def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_cells():
+def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_blocks():
     points, covs, extents = plot.landmarks_of(TRACE)
     np.testing.assert_array_equal(points, TRACE.final.landmarks[[2, 4, 5, 6]])
     for cov, row in zip(covs, (7, 11, 13, 15), strict=True):
@@ -218,7 +205,7 @@ def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_ce
     cells[2:5, 3:10] = 0
     cells[3, 4] = 100
     grid = types.SimpleNamespace(occupancy=lambda: cells, origin=(-2.3, 1.7))
-    shown, extent = plot.known_cells(dataclasses.replace(TRACE, grid=grid))
+    shown, extent = plot.known_blocks(dataclasses.replace(TRACE, grid=grid))
     cell = TRACE.config.grid.cell_m
     assert shown.shape == (3, 7) and shown[1, 1] == 100
     assert extent == pytest.approx((-2.3 + 3 * cell, -2.3 + 10 * cell, 1.7 + 2 * cell, 1.7 + 5 * cell))

@@ -14,7 +14,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.figures import slider
 from sixthsense.figures.kinds import KINDS
 from sixthsense.figures.overtime import draw_error, draw_nis
-from sixthsense.figures.plot import ellipse, known_blocks, known_cells, save_map
+from sixthsense.figures.plot import ellipse, known_blocks, save_map
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 
@@ -65,7 +65,7 @@ def test_panels_of_one_comparison_share_their_limits(explored) -> None:
 
 
 def test_blocks_of_cells_lie_where_the_cells_do_and_keep_every_obstacle(trace: Trace) -> None:
-    (cells, (left, right, bottom, top)), (blocks, extent) = known_cells(trace), known_blocks(trace, 37)
+    (cells, (left, right, bottom, top)), (blocks, extent) = known_blocks(trace), known_blocks(trace, 37)
     cell_m, side_m = trace.config.grid.cell_m, (extent[1] - extent[0]) / blocks.shape[1]
     assert max(blocks.shape) <= 38 and extent[0] <= left + 1e-9 and extent[1] >= right - 1e-9
     assert extent[2] <= bottom + 1e-9 and extent[3] >= top - 1e-9

@@ -24,9 +24,11 @@ def simulated(request, tmp_path_factory) -> Run:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A short tour's folder."""
+    """A short tour's folder, whose record has a chunk for each tick."""
     out = tmp_path_factory.mktemp("runs") / "tour"
-    ss.run("rectangle", task="tour", max_time=6.0, seed=4, out=out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sixthsense.record.stream._FLUSH_S", 0.0)
+        ss.run("rectangle", task="tour", max_time=6.0, seed=4, out=out)
     return out
 
 

@@ -4,10 +4,8 @@ import time
 from collections import Counter
 from contextlib import redirect_stderr
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import rotation
@@ -48,53 +46,6 @@ def test_nothing_is_written_where_no_terminal_is():
         bar.advance(at(0.0), Trace(preset(), None, 0.2))
         bar.advance(at(5.0), Trace(preset(), None, 0.2))
     assert err.getvalue() == ""
-
-
-class Shown:
-    """What a bar is told; each second move of it is drawn."""
-
-    def __init__(self, shown: bool | None, **options: Any) -> None:
-        self.options, self.disable, self.n, self.seconds, self.texts = options, False, 0.0, [], []
-
-    def update(self, seconds: float) -> bool:
-        self.n += seconds
-        self.seconds.append(seconds)
-        return len(self.seconds) % 2 == 0
-
-    def set_postfix_str(self, text: str) -> None:
-        self.texts.append(text)
-
-    def set_description_str(self, text: str) -> None:
-        self.texts.append(text)
-
-    def close(self) -> None:
-        raise OSError("the terminal has been closed")
-
-
-def test_a_bar_advances_by_the_time_of_the_source_and_asks_for_the_status_where_it_is_drawn(monkeypatch):
-    now_s, slept, made = [100.0], [], []
-    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
-    monkeypatch.setattr(time, "sleep", slept.append)
-
-    def bar_of(shown: bool | None, **options: Any) -> Shown:
-        made.append(Shown(shown, **options))
-        return made[0]
-
-    monkeypatch.setattr("sixthsense.running.progress.progress_bar", bar_of)
-    trace = Trace(preset(), None, 0.2)
-    with progress("hall", 10.0, realtime=True, status=lambda trace: f"at {now_s[0]:g}") as (advance, say):
-        say("compiling")
-        say("")
-        advance(at(3.0), trace)
-        for source_s, wall_s in ((3.05, 100.1), (3.15, 100.2), (4.0, 100.6), (5.0, 101.7)):
-            now_s[0] = wall_s
-            advance(at(source_s), trace)
-        advance(at(5.6), trace)
-    (bar,) = made
-    assert (bar.options["total"], bar.options["desc"], bar.options["mininterval"]) == (10.0, "hall", 1.0)
-    assert bar.seconds == pytest.approx([0.0, 0.05, 0.1, 0.85, 1.0, 0.6]) and bar.disable
-    assert bar.texts == ["hall: compiling", "hall", "at 100.1", "at 100.6", "at 101.7"]
-    assert slept == pytest.approx([0.0, 0.0, 0.0, 0.4, 0.3, 0.9])
 
 
 def test_an_exploration_shows_the_seen_area_beside_that_of_the_region():
