@@ -20,6 +20,7 @@ from sixthsense.cli.options import Option, Options
 from sixthsense.config import PRESETS, Config, Section, preset
 from sixthsense.config.section import allowed, kind_of
 from sixthsense.evaluation.results import QUANTITIES
+from sixthsense.logs.finding import KINDS
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _UNIT_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
@@ -53,6 +54,7 @@ _GROUP_NOTES = {
         "The time of a keyframe excludes sensing. A stage's mean is its total time divided by the keyframes.",
     ],
 }
+_FINDINGS = "<!-- findings -->"
 _SHARED = ("config", "out", "overwrite")
 _FIELDS_INTRO = """\
 A `Config` is a tree of frozen sections that validate their fields. Every field is an option of `sixthsense run`
@@ -69,6 +71,27 @@ collided, goal unreachable, another robot); 2 bad input, reported in one line; 7
 commands but `report`, `audit`, `scenes`, `parts` and `completion` accept the fields of the
 [configuration](configuration.md) as options in addition to those below.
 """.splitlines()
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Write the table of findings into the page on logs."""
+    return markdown.replace(_FINDINGS, findings()) if page.file.src_uri == "howto/logs.md" else markdown
+
+
+def findings() -> str:
+    """Return a row for each kind of finding of a log: what is found, what is done, and the option that sets it."""
+    lines = ["| found | is | option |", "| --- | --- | --- |"]
+    for kind in KINDS.values():
+        name, _, value = kind.option.partition(" ")
+        option = f"`{_flag(name)}{' ' * bool(value)}{value}`" if name else "-"
+        text = re.sub(r"`([a-z_.]+)`", lambda match: f"`{_flag(match[1])}`", re.sub(r"\{[^}]*\}", "…", kind.text))
+        if text.strip("… "):  # a note with a text of its own is described on the page
+            lines.append(f"| {text} | {kind.action} | {option} |")
+    return "\n".join(lines)
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:

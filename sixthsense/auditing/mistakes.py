@@ -14,6 +14,7 @@ from sixthsense.auditing.poses import Poses, is_of_plane
 from sixthsense.auditing.scores import fitted, rms
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation.metrics import has_full_rank
+from sixthsense.logs.diagnose import of_headings
 
 WRONG = "cannot be right"
 """how a line on a mistake begins"""
@@ -21,7 +22,7 @@ UNIFORM_RAD = math.pi / math.sqrt(3.0)
 """sigma of a direction of which nothing is known"""
 
 _DEGREE = math.pi / 180.0
-_ALONG, _ACROSS, _FEWEST = 0.9, 0.75, 20  # mean cosine of a heading and the way along it, and not; ways
+_FEWEST = 20  # poses and ways
 _FITS, _UNLIKE = 0.2, 0.5  # share of the spread or of the errors that remains: one cause, other drives
 _SCALE, _TURNED_RAD, _STEADY = 1.2, math.radians(10.0), 0.9  # of units and axes that are worth a word
 _JUMP, _JUMP_ATE = 20.0, 0.5  # times the usual step, and share of the aligned error, of a single one
@@ -40,13 +41,8 @@ def headings_in_degrees(poses: Array) -> str:
     turns = int(np.sum(np.abs(steps - 360.0) < 36.0))
     if turns and np.abs(poses[:, 2]).max() <= 364.0:
         return f"they jump by {steps.max():.0f} where they wrap, {turns} times"
-    ways = np.diff(poses[:, :2], axis=0)
-    long = np.hypot(*ways.T) > 0.5 * np.median(np.hypot(*ways.T))
-    if np.count_nonzero(long) < _FEWEST or np.ptp(poses[:, 2]) < math.pi:
-        return ""
-    course = np.arctan2(ways[long, 1], ways[long, 0])
-    along = [float(np.mean(np.cos(course - unit * poses[:-1, 2][long]))) for unit in (1.0, _DEGREE)]
-    return "the robot goes along them only as degrees" if abs(along[1]) > _ALONG and abs(along[0]) < _ACROSS else ""
+    found = of_headings(poses)
+    return "the robot goes along them only as degrees" if found is not None and found.kind == "headings_unit" else ""
 
 
 def of_estimate(poses: Poses) -> Iterator[str]:

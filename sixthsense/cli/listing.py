@@ -28,6 +28,7 @@ class Scenes(Options):
 
     def run(self, flags: Table) -> int:
         """List the shipped scenes, or draw one."""
+        from sixthsense.simulation.mission import unreachable
         from sixthsense.simulation.scene import load_scene
 
         if self.scene is None:
@@ -38,7 +39,8 @@ class Scenes(Options):
         scene = load_scene(self.scene)
         file = self.out or Path("runs/scenes") / f"{scene.name}.png"
         save(scene.plot(), file)
-        print(scene.summary(), *scene.notes, f"written to {file}", sep="\n")
+        notes = [*scene.notes, *filter(None, [unreachable(scene)])]
+        print(scene.summary(), *notes, f"written to {file}", sep="\n")
         return DONE
 
 

@@ -59,7 +59,7 @@ class WorldConfig(Section):
     drift_rad_per_m: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven."""
     walkers: Annotated[int, Field(ge=0, le=1000)] = 0
-    """People who walk from room to room, besides those of the scene."""
+    """People who walk about, besides those of the scene."""
     walkers_blind: bool = False
     """Whether people do not stop for the robot."""
 

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import beam_bearings
 from sixthsense.core.ray_casting import Beams, beams_of, cast_among, near_walls
 from sixthsense.core.se2 import Triple
-from sixthsense.simulation.walking_space import mark_distances
+from sixthsense.simulation.scene_grid import SceneGrid
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -106,15 +105,15 @@ def visible_area(
     width, height = np.ceil((top - origin) / cell_m).astype(np.int64) + 1
     # A disc smaller than a cell must not pass from one cell to the next through a wall between their centres.
     disc = max(radius, 0.51 * cell_m)
-    clearances = np.full((height, width), np.inf)
-    _mark_distances(walls, origin, cell_m, disc, clearances)
-    room = clearances.copy()
-    _mark_distances(solid[len(walls) :], origin, cell_m, disc, room)
+    reach_m = max(disc, cell_m) + cell_m
+    grid = SceneGrid(walls, origin, origin + cell_m * np.array([width, height]), cell_m, reach_m)
+    clearances = grid.clearance_m.copy()
+    grid.add(solid[len(walls) :], reach_m)
     x = origin[0] + (np.arange(width) + 0.5) * cell_m
     y = origin[1] + (np.arange(height) + 0.5) * cell_m
 
     # The free space around the start may be smaller than a cell, so that none is reachable.
-    reachable = _connected(room >= disc, (np.asarray(start) - origin) / cell_m)
+    reachable = grid.reachable(grid.clearance_m >= disc, np.asarray(start, dtype=np.float64), 1.5 * cell_m)
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 
@@ -173,12 +172,6 @@ def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
     return area, coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
 
 
-def _mark_distances(walls: Array, origin: Array, cell_m: float, disc: float, clearances: Array) -> None:
-    """Lower each cell's distance from the nearest wall to that from these (N, 2, 2), as far as it matters."""
-    flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
-    mark_distances(flat, origin[0], origin[1], cell_m, max(disc, cell_m) + cell_m, clearances)
-
-
 def _sweep(
     T_world_laser: Pose,
     beams: Beams,
@@ -194,17 +187,6 @@ def _sweep(
     lengths = np.minimum(cast_among(T_world_laser, beams, walls, max_range), max_range) / cell_m
     x, y = ((T_world_laser.position - origin) / cell_m).tolist()
     _mark((x, y, T_world_laser.theta), beams, lengths, scan, first)
-
-
-def _connected(passable: Mask, start: Array) -> Mask:
-    """The component of `passable` at `start` (x, y in cells), empty if that is not next to any."""
-    rows, cols = np.nonzero(passable)
-    distances = np.hypot(cols + 0.5 - start[0], rows + 0.5 - start[1])
-    if len(distances) == 0 or distances.min() > 1.5:
-        return np.zeros_like(passable)
-    labels, _ = ndimage.label(passable)
-    nearest = np.argmin(distances)
-    return np.asarray(labels == labels[rows[nearest], cols[nearest]])
 
 
 def _viewpoints(reachable: Mask, step: int) -> NDArray[np.int64]:

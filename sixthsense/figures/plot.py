@@ -16,7 +16,7 @@ from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.exports import known_part
 from sixthsense.record.trace import Trace
-from sixthsense.simulation.walking_space import BODY_M
+from sixthsense.simulation.scene import BODY_M
 
 if TYPE_CHECKING:
     from sixthsense.core.picture import Picture

@@ -20,6 +20,7 @@ from sixthsense.core.random_streams import random_streams
 from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.diagnostics import TOPIC as DIAGNOSTICS
 from sixthsense.live.diagnostics import diagnostics
+from sixthsense.live.first_look import first_look
 from sixthsense.live.maps import MAP, MapSender
 from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Stamped, publisher
@@ -185,6 +186,7 @@ class Session:
             hooks = [
                 publisher(self._node.writer, robot, self._maps.offer, self._transform_ahead_s),
                 diagnostics(self._node.writer(DIAGNOSTICS).send, pilot),
+                first_look(self._say, not config.no_odometry),
                 *([] if hook is None else [hook]),
             ]
             self._discard()

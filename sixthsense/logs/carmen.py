@@ -34,7 +34,7 @@ from sixthsense.logs.laser_geometry import (
 from sixthsense.logs.log import Log
 from sixthsense.logs.stamps import ascending, unit_of
 from sixthsense.logs.text_lines import LARGEST, Record, records, shown
-from sixthsense.logs.units import SI, Units, check_bearings
+from sixthsense.logs.units import SI, Units
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
 MESSAGES = (
@@ -262,21 +262,16 @@ def _flaser(record: Record, units: Units) -> _Line:
 
 
 def _robotlaser(record: Record, units: Units) -> _Line:
-    """A scan that states its beams, with its remissions or, as CARMEN's own description has it, without."""
+    """A scan that states its beams; remissions between ranges and poses, which some logs have, are skipped."""
     count = _count(record, _HEAD - 1)
     if len(record.fields) != _HEAD + count + _TAIL:
-        remissions = _count(record, _HEAD + count, "remissions")
-        expected = _HEAD + count + 1 + remissions + _TAIL
-        _expect(record, expected, f" with {count} ranges and {remissions} remissions")
+        _expect(record, _HEAD + count + 1 + _count(record, _HEAD + count) + _TAIL, f" with {count} ranges")
     start, fov, resolution, max_range = record.numbers(record.fields[2:6])
     start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
     max_range *= units.ranges
-    try:
-        check_bearings(start, start + fov)
-    except ValueError as error:
-        record.fail(str(error))
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
-        record.fail(f"found start angle {start:g} and field of view {fov:g}, allowed: radians of up to a full circle")
+        what = f"angles of {start:.6g} to {start + fov:.6g}{', which are degrees' * (fov > 2.0 * math.pi)}"
+        record.fail(f"found {what}, allowed: radians of up to a full circle, or `units` angles=degrees")
     geometry = _Geometry(count, start, fov, resolution, max_range if max_range > 0.0 else math.inf)
     return _poses(record, -14, -8, units), geometry, _ranges(record, _HEAD, count, units)
 
@@ -287,11 +282,11 @@ def _poses(record: Record, first: int, past: int, units: Units) -> Array:
     return np.asarray(record.numbers(record.fields[first:past]).reshape(-1, 3) * scale)
 
 
-def _count(record: Record, place: int, what: str = "ranges") -> int:
-    """The number of ranges, or of remissions, in a field."""
+def _count(record: Record, place: int) -> int:
+    """A number of values in a field."""
     if len(record.fields) <= place:
-        record.fail(f"found {record.fields[0].decode()} without {what}, a CARMEN line cut short")
-    return record.whole(place, f"number of {what}")
+        record.fail(f"found {record.fields[0].decode()} of {len(record.fields)} fields, a CARMEN line cut short")
+    return record.whole(place, "number of values")
 
 
 def _expect(record: Record, count: int, what: str = "") -> None:

@@ -27,7 +27,7 @@ _LEAST_M, _RATIO, _SHARE = 0.1, 0.25, 0.8  # of two differences of views, and of
 _FASTEST = 20.0  # m/s of a vehicle; a slow robot in centimetres is faster
 _FEWEST, _LEAST_WAY_M, _ALONG, _ACROSS = 10, 1.0, 0.85, 0.5
 """motions and way, m, that say something; and how much of a way goes along a heading that is its own"""
-_BACKWARD = 0.95  # share of the way
+_BACKWARD, _TURNED_RAD = 0.95, 0.5  # share of the way; and by which headings differ that say something
 _SIGMAS, LEAST_S, _SCALE_OFF = 4.0, 0.08, 0.15
 """of a value that is not chance; a delay and a scale of turns that are worth a word"""
 
@@ -37,12 +37,13 @@ def diagnose(log: Log) -> list[Finding]:
 
     Each kind of finding is said, refused or applied by `settled`, as `KINDS` has it.
     """
-    return [*log.found, *_diagnosed(log.sightings, log.odometry, log.candidates), *_gaps(log)]
+    return [*log.found, *findings_of(log.sightings, log.odometry, log.candidates), *_gaps(log)]
 
 
-def _diagnosed(
-    sightings: Sequence[Sighting], odometry: Odometry | None, candidates: Sequence[tuple[float, float]]
+def findings_of(
+    sightings: Sequence[Sighting], odometry: Odometry | None, candidates: Sequence[tuple[float, float]] = ()
 ) -> Iterator[Finding]:
+    """What scans and odometry say; `candidates` as those of a `Log`."""
     if not sightings:
         return
     scans = [each.scan for each in sightings]
@@ -77,7 +78,7 @@ def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
     """
     log = log.later(config.time_offset or 0.0)
     said = []
-    for finding in [*log.found, *_diagnosed(log.sightings, log.odometry, log.candidates)]:
+    for finding in [*log.found, *findings_of(log.sightings, log.odometry, log.candidates)]:
         if finding.action == "refused":
             raise InputError("log", f"found {finding.text}", finding.remedy)
         if finding.kind == "clocks":
@@ -139,7 +140,7 @@ def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
     wrong = None
     if np.count_nonzero(usual) >= _FEWEST and moved[usual].sum() > _LEAST_WAY_M:
         speed = float(moved[usual].sum() / max(passed[moves].sum(), 1e-9))
-        wrong = Finding("odometry_unit", speed) if speed > _FASTEST else _of_headings(odometry, steps, moved * usual)
+        wrong = Finding("odometry_unit", speed) if speed > _FASTEST else of_headings(odometry.poses, moved * usual)
     if wrong is not None:
         yield wrong
     elif len(jumps):
@@ -149,20 +150,26 @@ def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
         yield Finding("jump", float(sizes.max()), place=f"{times}, after {at_s:.1f} s")
 
 
-def _of_headings(odometry: Odometry, steps: Array, way: Array) -> Finding | None:
-    """What is wrong with headings, by the share of a `way` (N - 1,), m, that goes along them or against them."""
-    course, heading = np.arctan2(steps[:, 1], steps[:, 0]), odometry.poses[:-1, 2]
+def of_headings(poses: Array, way: Array | None = None) -> Finding | None:
+    """What is wrong with the headings of (N, 3) poses, by the share of the way that goes along them or against them.
+
+    `way` (N - 1,), m, is that from each pose to the next; 0 where it does not count.
+    """
+    steps, heading = np.diff(poses[:, :2], axis=0), poses[:-1, 2]
+    course = np.arctan2(steps[:, 1], steps[:, 0])
+    way = np.hypot(steps[:, 0], steps[:, 1]) if way is None else way
     total = way.sum()
 
     def along(of_course: Array, of_heading: Array) -> float:
         """Mean of twice the angles between both: 1 for one direction and its opposite, 0 for all of them."""
         return float(way @ np.cos(2.0 * (of_course - of_heading)) / total)
 
-    degrees = DEGREES * np.unwrap(heading)  # whose first one may be any number of turns off
-
-    if way @ np.abs(np.sin(course - heading)) < _ACROSS * total:
-        back = float(way @ (np.cos(course - heading) < 0.0) / total)
+    if not total or way @ np.abs(np.sin(course - heading)) < _ACROSS * total:
+        back = float(way @ (np.cos(course - heading) < 0.0) / max(total, 1e-9))
         return Finding("driven_backward", back) if back > _BACKWARD else None
+    if np.ptp(np.unwrap(heading)) < _TURNED_RAD:
+        return None
+    degrees = DEGREES * np.unwrap(heading)  # whose first one may be any number of turns off
     shares = {
         "headings_unit": max(
             along(course, DEGREES * heading), float(np.abs(way @ np.exp(2j * (course - degrees)))) / total

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
@@ -26,22 +25,9 @@ _LARGEST_ENTRY = 1e12
 _SLACK = 1e-12
 """tolerance of an eigenvalue for rounding, relative to the largest entry"""
 
-# Rows and columns of the numbers of the upper triangle in the matrix, in the order of the file.
-_BY_ROWS, _PLANE = np.triu_indices(3), np.triu_indices(2)
-
-
-@dataclass(frozen=True, slots=True)
-class _Form:
-    """Format of the covariance of an edge."""
-
-    order: tuple[NDArray[np.int64], ...]
-    """rows and columns of the numbers in the matrix"""
-    is_information: bool
-    """whether the numbers are an information matrix, else a covariance"""
-
-
-_MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE_SE2": _Form(_BY_ROWS, True)}
-_POINTS = {b"LANDMARK": _Form(_PLANE, False), b"EDGE_SE2_XY": _Form(_PLANE, True)}
+_MOTIONS, _POINTS = (b"ODOMETRY", b"EDGE_SE2"), (b"LANDMARK", b"EDGE_SE2_XY")
+_INFORMATION = (b"EDGE_SE2", b"EDGE_SE2_XY")
+"""tags whose numbers are an information matrix; those of others are a covariance"""
 _POSES = (b"VERTEX2", b"VERTEX_SE2")
 _FIX = b"FIX"
 TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY", _FIX)
@@ -129,10 +115,9 @@ class _Graph:
 
 
 def _read_motion(graph: _Graph, record: Record) -> None:
-    form = _MOTIONS[record.fields[0]]
-    before, after = _ids(record, 5 + len(form.order[0]))
+    before, after = _ids(record, 11)
     motion = _bounded(record, record.numbers(record.fields[3:6]))
-    cov = _covariance(record, form, record.fields[6:], definite=False)
+    cov = _covariance(record, 3, definite=False)
     for pose in (before, after):
         graph.check_kind(record, pose, "pose")
     if not graph.ticks:
@@ -164,18 +149,17 @@ def _add_closures(graph: _Graph) -> None:
 
 
 def _read_landmark(graph: _Graph, record: Record) -> None:
-    tag = record.fields[0]
-    form = _POINTS.get(tag)
-    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order[0]))
+    is_polar = record.fields[0] not in _POINTS
+    pose, landmark = _ids(record, 6 if is_polar else 7)
     first, second = _bounded(record, record.numbers(record.fields[3:5])).tolist()
-    if form is None:
+    if is_polar:
         sigmas = record.numbers(record.fields[5:7])
         if not (np.all(sigmas > 1e-9) and second > 0.0):
             record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
         _bounded(record, sigmas)
         observation = polar_observation(second, first, (float(sigmas[1]) ** 2, float(sigmas[0]) ** 2))
     else:
-        cov = _covariance(record, form, record.fields[5:], definite=True)
+        cov = _covariance(record, 2, definite=True)
         observation = Observation(Kind.CORNER, np.array([first, second]), cov)
     graph.check_kind(record, landmark, "landmark")
     if not graph.ticks and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
@@ -232,22 +216,22 @@ def _bounded(record: Record, values: Array) -> Array:
     return values
 
 
-def _covariance(record: Record, form: _Form, fields: list[bytes], definite: bool) -> Array:
-    """(n, n) covariance; all its eigenvalues are positive if `definite`, as those of an information matrix must be."""
-    values = record.numbers(fields)
-    rows, columns = form.order
-    matrix = np.zeros((1 + rows.max(), 1 + rows.max()))
+def _covariance(record: Record, size: int, definite: bool) -> Array:
+    """(size, size) covariance from the upper triangle at the end of a line.
+
+    All its eigenvalues are positive if `definite`, as those of an information matrix must be.
+    """
+    rows, columns = np.triu_indices(size)
+    values = record.numbers(record.fields[-len(rows) :])
+    matrix = np.zeros((size, size))
     matrix[rows, columns] = matrix[columns, rows] = values
-    definite = definite or form.is_information
+    is_information = record.fields[0] in _INFORMATION
+    definite = definite or is_information
     largest = float(np.abs(matrix).max())
     fits = 1.0 / _LARGEST_ENTRY <= largest <= _LARGEST_ENTRY if definite else largest <= _LARGEST_ENTRY
     if not fits or np.linalg.eigvalsh(matrix)[0] < (_SLACK if definite else -_SLACK) * largest:
-        kind = "an information matrix" if form.is_information else "a covariance"
-        found = b" ".join(fields)[:80].decode("ascii", "backslashreplace")
+        kind = "an information matrix" if is_information else "a covariance"
         bounds = f"eigenvalues {'above' if definite else 'at least'} 0, entries up to {_LARGEST_ENTRY:g}"
-        record.fail(f"found {found}, allowed: {kind} with {bounds}")
-    return _symmetric(np.asarray(np.linalg.inv(matrix), dtype=np.float64)) if form.is_information else matrix
-
-
-def _symmetric(matrix: Array) -> Array:
-    return 0.5 * (matrix + matrix.T)
+        record.fail(f"found {values.tolist()}, allowed: {kind} with {bounds}")
+    inverse = np.linalg.inv(matrix) if is_information else matrix
+    return np.asarray(0.5 * (inverse + inverse.T))

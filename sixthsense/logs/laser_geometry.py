@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import MOST_RANGE_M, Scan
 from sixthsense.logs.finding import Finding
@@ -74,13 +73,6 @@ def beams_as_stated(count: int, start: float, fov: float, resolution: float) -> 
 def with_beams(scan: Scan, first: float, step: float) -> Scan:
     """The scan with beams that begin at a bearing, and are a step apart, rad."""
     return replace(scan, angle_min=np.float32(first), angle_increment=np.float32(step))
-
-
-def described(given: LaserConfig, count: int, step: float, max_range: float, mount: Pose) -> LaserConfig:
-    """The configuration of a laser of `count` beams, whose field of view is centred on the mount's x axis."""
-    is_closed = abs(step * count - 2.0 * math.pi) < 0.5 * step
-    fov = 2.0 * math.pi if is_closed else min(step * (count - 1), 2.0 * math.pi)
-    return given.replaced(beams=count, fov=fov, max_range=max_range, mount=(mount.x, mount.y, mount.theta))
 
 
 def mount_from_poses(laser: Array, robot: Array) -> Pose | None:

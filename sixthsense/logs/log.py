@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Source, Tick, seconds
 from sixthsense.logs.finding import Finding
 from sixthsense.logs.joining import Odometry, Sighting, joined
-from sixthsense.logs.laser_geometry import described, with_beams
+from sixthsense.logs.laser_geometry import with_beams
 from sixthsense.logs.text_lines import read_table
 
 
@@ -90,10 +91,13 @@ class Log:
 
 
 def described_laser(scans: Sequence[Scan], laser: LaserConfig) -> LaserConfig:
-    """The configuration of the laser that took scans: of the beams and the range that most of them have."""
+    """The configuration of the laser that took scans, centred on the mount: of the beams and range that most have."""
     kinds = Counter((len(s.ranges), float(s.angle_increment), s.max_range) for s in scans)
     (count, step, reach), _ = kinds.most_common(1)[0]
-    return described(laser, count, step, reach, scans[0].T_robot_laser)
+    is_closed = abs(step * count - 2.0 * math.pi) < 0.5 * step
+    fov = 2.0 * math.pi if is_closed else min(step * (count - 1), 2.0 * math.pi)
+    mount = scans[0].T_robot_laser
+    return laser.replaced(beams=count, fov=fov, max_range=reach, mount=(mount.x, mount.y, mount.theta))
 
 
 class Playback:

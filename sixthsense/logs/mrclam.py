@@ -26,8 +26,6 @@ _ROBOTS = range(1, 6)
 _FARTHEST_M = 1000.0
 _WIDEST_RAD = 1.5
 """largest bearing: a camera sees only ahead of its image plane"""
-_FASTEST = 1000.0  # m/s, rad/s
-_OUTERMOST_M = 1e6
 _MISREAD = 0.01
 """largest accepted share of measurements with an unknown barcode"""
 _DELAY_NS = 200_000_000
@@ -65,24 +63,15 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
             raise InputError(path, f"found assumed.laser.{name} {sigma:g}", "above 0 for ranges and bearings")
     subjects = _subjects(_file(path, "Barcodes.dat"))
     drive = read_table(_file(path, f"Robot{robot}_Odometry.dat"), "stamp speed turn-rate")
-    drive.check(1, "forward speed", -_FASTEST, _FASTEST)
-    drive.check(2, "turn rate", -_FASTEST, _FASTEST)
     seen, misread = _observations(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed)
     vicon = _existing(path, f"Robot{robot}_Groundtruth.dat")
-    truth = None if vicon is None else _truth_of(vicon)
+    table = None if vicon is None else read_table(vicon, "stamp x y orientation")
+    truth = None if table is None else Odometry(np.array(_ascending_ns(table)), table.numbers[:, 1:])
     ticks = _ticks(drive, seen, truth)
     if not ticks:
         raise InputError(vicon, "found truth at no stamp of the odometry", "of the same drive")
     unread = Finding("left_out", misread, place="measurements with an unknown barcode are skipped")
     return Log(ticks, found=[unread] * (misread > 0))
-
-
-def _truth_of(file: Path) -> Odometry:
-    """The poses measured by Vicon."""
-    table = read_table(file, "stamp x y orientation")
-    for column, name in enumerate(("x", "y", "orientation"), start=1):
-        table.check(column, name, -_OUTERMOST_M, _OUTERMOST_M)
-    return Odometry(np.array(_ascending_ns(table), dtype=np.int64), table.numbers[:, 1:])
 
 
 def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: Odometry | None) -> list[Tick]:
@@ -99,8 +88,7 @@ def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], trut
     if truth is not None:
         at_ns = np.array(stamps, dtype=np.int64)
         truths = [Pose.from_array(row) for row in pose_at(truth, at_ns, math.inf)]
-    pose = truths[0] or Pose()
-    before = stamps[0]
+    pose, before = truths[0] or Pose(), stamps[0]
     speed, turn_rate = rates[max(stamp for stamp in rates if stamp <= before)]
     ticks = []
     for stamp, true in zip(stamps, truths, strict=True):
@@ -172,22 +160,17 @@ def _chosen(folder: Path, robot: int | None) -> int:
     found = robots(folder)
     if not found:
         raise InputError(folder, "found no RobotN_Odometry.dat", "a MRCLAM folder, files plain or .gz")
-    names = ", ".join(map(str, found))
-    if robot is None and len(found) > 1:
-        raise InputError(folder, f"found robots {names}", "one, by `robot` N")
-    if robot is not None and robot not in found:
-        raise InputError(folder, f"found no odometry of robot {robot}", names)
+    if robot not in found and (robot is not None or len(found) > 1):
+        raise InputError(folder, f"found robots {', '.join(map(str, found))}", "one, by `robot` N")
     return found[0] if robot is None else robot
 
 
 def _existing(folder: Path, name: str) -> Path | None:
-    files = folder / name, folder / f"{name}.gz"
-    return next((file for file in files if file.is_file()), None)
+    return next((file for file in (folder / name, folder / f"{name}.gz") if file.is_file()), None)
 
 
 def _file(folder: Path, name: str) -> Path:
-    file = _existing(folder, name)
-    if file is None:
+    if (file := _existing(folder, name)) is None:
         raise InputError(folder, f"found no {name}", "a MRCLAM folder with it, plain or .gz")
     return file
 

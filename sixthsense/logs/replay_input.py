@@ -21,6 +21,28 @@ if TYPE_CHECKING:
 _LEAST_PERIOD_NS = 1000.0  # of scans: no laser is as fast
 _ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
 
+_KINDS = {
+    "carmen": "a CARMEN log",
+    "bag": "a ROS bag",
+    "run": "the folder of a run",
+    "graph": "a graph",
+    "mrclam": "a MRCLAM folder",
+}
+_SCANS = ("carmen", "bag", "run")
+_TAKEN: dict[str, tuple[str, ...]] = {
+    "topics": ("bag",),
+    "odometry_frames": ("bag",),
+    "units": ("bag", "carmen"),
+    "robot": ("mrclam",),
+    "robot.radius": tuple(_KINDS),
+    "preset": ("carmen", "bag", "graph", "mrclam"),
+    "laser": ("carmen",),
+    "laser.mount": _SCANS,
+    "laser.mirrored": ("carmen", "bag"),
+    "assumed": (*_SCANS, "mrclam"),
+    **dict.fromkeys(("no_odometry", "keyframes", "features", "grid"), _SCANS),
+}
+"""kinds of logs on which an option, or the fields of a section, apply; any other applies on all"""
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
 """note of a log, and line of a live run"""
 
@@ -81,34 +103,15 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Log
     robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
     for name in (*OF_THE_ROBOT, *sorted(robot)):
         if name in fields or name in robot:
-            allowed = "options of the estimate, not of the recorded robot"
-            raise InputError(name, "found on replay", allowed)
-    if log is None:
-        return
-    kind = kind_of(Path(log))
-    refused: list[tuple[str, str, str]] = []
-    if kind != "bag":
-        given = (("topics", chosen.topics), ("odometry_frames", chosen.odometry_frames))
-        refused += [(name, "a log that is not a ROS bag", "on a bag") for name, value in given if value]
-    if kind not in ("bag", "carmen") and chosen.units:
-        refused.append(("units", "a log that is not a ROS bag or a CARMEN log", "on one of these"))
-    if kind == "run" and "preset" in fields:
-        refused.append(("preset", "a run folder", "single fields over its config.toml"))
-    if kind in ("run", "bag"):
-        where, taken = "a bag, which describes its laser", ("mount",) if kind == "run" else ("mount", "mirrored")
-        allowed = " and ".join(f"`laser.{name}`" for name in taken)
-        refused += [(f"laser.{name}", where, allowed) for name in fields.get("laser", {}) if name not in taken]
-    if kind != "mrclam" and chosen.robot is not None:
-        refused.append(("robot", "a log that is not a MRCLAM folder", "on a MRCLAM folder"))
-    if kind in ("graph", "mrclam"):
-        where, scans = "a log that {}", "on a log of scans"
-        if fields.get("no_odometry"):
-            refused.append(("no_odometry", where.format("has landmarks and no scans"), scans))
-        for section in ("laser", "keyframes", "features", "grid", *(["assumed"] if kind == "graph" else [])):
-            has = "contains its own noise" if section == "assumed" else "has landmarks and no scans"
-            refused += [(f"{section}.{name}", where.format(has), scans) for name in fields.get(section, {})]
-    for name, where, allowed in refused:
-        raise InputError(name, f"found on {where}", allowed)
+            raise InputError(name, "found on replay", "options of the estimate, not of the recorded robot")
+    kind = "" if log is None else kind_of(Path(log))
+    given = [name for name, value in chosen._asdict().items() if value or value == 0]
+    for name, value in fields.items():
+        given += [f"{name}.{part}" for part in value] if isinstance(value, Mapping) else [name] * bool(value)
+    for name in given:
+        kinds = _TAKEN.get(name) or _TAKEN.get(name.partition(".")[0], tuple(_KINDS))
+        if kind and kind not in kinds:
+            raise InputError(name, f"found on {_KINDS[kind]}", f"on {' or '.join(_KINDS[each] for each in kinds)}")
 
 
 def check_out(log: str | Path, out: Path | None) -> None:

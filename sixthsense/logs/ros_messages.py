@@ -62,6 +62,8 @@ def planar(position: Any, orientation: Any) -> Pose:
 
 def transform(message: Any) -> Array:
     """(4, 4) matrix of a geometry_msgs/Transform."""
+    from scipy.spatial.transform import Rotation  # here, since it takes a while to load
+
     r, t = message.rotation, message.translation
     q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     t_xyz = np.array([t.x, t.y, t.z], dtype=np.float64)
@@ -70,13 +72,8 @@ def transform(message: Any) -> Array:
         raise ValueError(
             f"found a transform that is not finite, allowed: up to {LARGEST:.0e} m and a quaternion that is not zero"
         )
-    x, y, z, w = q / norm
     out = np.eye(4)
-    out[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    out[:3, :3] = Rotation.from_quat(q / norm).as_matrix()
     out[:3, 3] = t_xyz
     return out
 

@@ -172,7 +172,7 @@ def read_messages(file: Path) -> tuple[list[Message], bool]:
                         channels[record.id] = record.topic, columns.get(record.schema_id)
                     elif isinstance(record, Raw):
                         name, row = channels[record.channel_id]
-                        value = json.loads(record.data) if row is None else np.frombuffer(record.data, row)
+                        value = json.loads(record.data) if row is None else _rows(record.data, row)
                         found.append(Message(name, record.log_time, value))
         except (McapError, struct.error):
             raise InputError(file, "is not an MCAP file", "the record of a run") from None
@@ -192,6 +192,11 @@ def readable(file: Path) -> Iterator[None]:
         raise InputError(file, f"cannot be read ({error.strerror or 'damaged'})") from None
     except Exception as error:  # a message with a valid checksum may still be invalid
         raise InputError(file, f"found {reason_of(error)}", "the record of a run") from None
+
+
+def _rows(data: bytes, row: np.dtype[Any]) -> NDArray[Any]:
+    """(n,) rows; none of an array without columns, such as the covariance of no landmarks."""
+    return np.frombuffer(data, row) if row.itemsize else np.zeros(0, row)
 
 
 def _row_type(columns: Sequence[tuple[str, str, Sequence[int]]]) -> np.dtype[Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
-from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S, Record, Table, lines, words
+from sixthsense.logs.text_lines import LAST_STAMP_S, Record, Table, lines, words
 
 _SEPARATORS = b",;"
 _LARGEST_STAMP = 1e9 * LAST_STAMP_S  # of any unit
@@ -35,12 +35,10 @@ def read_trajectory(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Ar
     width = max({len(record.fields) for record in found}, key=[len(record.fields) for record in found].count, default=0)
     columns = _named(header, width)
     if columns is None and width not in _FORMS:
-        kitti = ", as those of KITTI, which have no stamps" * (width == _KITTI)
-        kitti += ", are there decimal commas?" * (width in (14, 15, 16))
-        at = f" line {found[0].line}" if found else ""
-        raise InputError(
-            f"{file}{at}", f"found {width} fields{kitti}" if found else "found no line of numbers", _ALLOWED
-        )
+        hints = dict.fromkeys((14, 15, 16), ", are there decimal commas?")
+        hints[_KITTI] = ", as those of KITTI, which have no stamps"
+        at, seen = (f" line {found[0].line}", f"{width} fields") if found else ("", "no line of numbers")
+        raise InputError(f"{file}{at}", f"found {seen}{hints.get(width, '')}", _ALLOWED)
     form = _PLANE if columns is not None and "theta" in columns else _FORMS.get(width, _SPACE)
     places = [columns[name] for name in form] if columns is not None else range(1, width)
     stamp = (columns or {}).get("stamp", 0)
@@ -57,7 +55,8 @@ def read_covariances(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], A
     _, found = _records(file)
     width = len(found[0].fields) if found else 0
     if width - 1 not in _SIZES:
-        raise _other_width(file, found, f"{width} fields", "a stamp and 6, 9, 21 or 36 numbers of a covariance")
+        at, seen = (f" line {found[0].line}", f"{width} fields") if found else ("", "no line of numbers")
+        raise InputError(f"{file}{at}", f"found {seen}", "a stamp and 6, 9, 21 or 36 numbers of a covariance")
     table = _usable(found, width, notes, range(width))
     values, size = table.numbers[:, 1:], _SIZES[width - 1]
     if values.shape[1] == size * size:
@@ -66,13 +65,6 @@ def read_covariances(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], A
     covs = np.zeros((len(values), size, size))
     covs[:, rows, columns] = covs[:, columns, rows] = values
     return table.stamps_ns(notes), covs
-
-
-def _other_width(file: Path, found: Sequence[Record], what: str, allowed: str) -> InputError:
-    """The error of a file whose lines have another number of fields, or which has no line of numbers."""
-    if not found:
-        return InputError(file, "found no line of numbers", allowed)
-    return InputError(f"{file} line {found[0].line}", f"found {what}", f"{allowed}, in every line")
 
 
 def _records(file: Path) -> tuple[list[bytes], list[Record]]:
@@ -118,40 +110,23 @@ def _usable(
     found: Sequence[Record], width: int, notes: list[str], places: Sequence[int], is_space: bool = False
 ) -> Table:
     """Some columns of the lines that can be used; the others are counted in a note. InputError where there is none."""
-    table = _at_once(found, width, places)
-    if table is not None and not (is_space and not table.numbers[:, 4:].any(axis=1).all()):
-        return table
     refused: list[str] = []
     good, rows = [], []
     for record in found:
         try:
             if len(record.fields) != width:
                 record.fail(f"found {len(record.fields)} fields, allowed: {width} in every line")
-            stamp, row = (
-                record.numbers([record.fields[places[0]]], _LARGEST_STAMP),
-                [record.fields[k] for k in places[1:]],
-            )
-            values = np.concatenate([stamp, record.numbers(row)])
-            if is_space and not values[4:].any():
+            stamp = record.numbers([record.fields[places[0]]], _LARGEST_STAMP)
+            row = record.numbers([record.fields[k] for k in places[1:]])
+            if is_space and not row[3:].any():
                 record.fail("found a quaternion that is zero, allowed: a rotation")
         except InputError as error:
             refused.append(str(error.at(error.where.removeprefix(f"{record.path} "))))
             continue
         good.append(record)
-        rows.append(values)
+        rows.append([*stamp, *row])
     if not good:
         raise InputError("", f"{found[0].path} {refused[0]}")
-    notes.append(f"{found[0].path}: {len(refused)} of {len(found)} lines left out, the first: {refused[0]}")
+    if refused:
+        notes.append(f"{found[0].path}: {len(refused)} of {len(found)} lines left out, the first: {refused[0]}")
     return Table(good, np.array(rows))
-
-
-def _at_once(found: Sequence[Record], width: int, places: Sequence[int]) -> Table | None:
-    """Some columns of all lines; None if a line has another width, or what is no finite number."""
-    if any(len(record.fields) != width for record in found):
-        return None
-    try:
-        numbers = np.array([[record.fields[k] for k in places] for record in found], dtype=np.float64)
-    except ValueError:
-        return None
-    good = (np.abs(numbers[:, 0]) <= _LARGEST_STAMP).all() and (np.abs(numbers[:, 1:]) <= LARGEST).all()
-    return Table(list(found), numbers) if good else None

@@ -18,7 +18,7 @@ from sixthsense.logs.runfolder import observations_of
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.trace import STAGES, Trace
 from sixthsense.simulation.scene import Scene
-from sixthsense.simulation.walking_space import ScriptedWalk
+from sixthsense.simulation.scene_files import ScriptedWalk
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks

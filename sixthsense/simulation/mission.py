@@ -10,10 +10,12 @@ from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.random_streams import random_streams
-from sixthsense.simulation.free_parts import FreeParts
-from sixthsense.simulation.scene import Scene, check_placement, load_scene
+from sixthsense.simulation.scene import FreeSpace, Scene, check_placement, load_scene
 from sixthsense.simulation.walkers import Walkers, walkers_of
 from sixthsense.simulation.world import World
+
+_WORD_SHARE = 0.02
+"""of a building: a part that cannot be reached and is larger is worth a word"""
 
 
 class Mission(NamedTuple):
@@ -72,10 +74,25 @@ def mission(scene: Scene, config: Config) -> Mission:
         _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     radius_m = config.robot.radius or scene.radius
-    parts = FreeParts(scene.solid, np.vstack([start.position[None], goals]), radius_m, is_coarse=not len(goals))
-    _check_free(parts, start)
-    _check_ways(parts, start, goals, "goal" if config.task == "goal" else "tour")
+    space = FreeSpace(scene, np.vstack([start.position[None], goals]), radius_m)
+    _check_free(space, start, goals, "goal" if config.task == "goal" else "tour")
     return Mission(scene, start, goals, radius_m, walkers_of(scene, config, start, radius_m))
+
+
+def unreachable(scene: Scene) -> str:
+    """A line on what of a scene its robot cannot get to, because a door is too narrow; "" for none."""
+    if scene.start is None:
+        return ""
+    goals = [("goal", scene.goal)] if scene.goal else []
+    goals += [(f"tour, entry {k}", place) for k, place in enumerate(scene.tour, 1)]
+    places = np.array([place for _, place in goals], dtype=np.float64).reshape(-1, 2)
+    here = scene.start.position
+    space = FreeSpace(scene, np.vstack([here[None], places]), scene.radius)
+    is_there = space.connected(here, places)
+    found = [name for (name, _), is_reached in zip(goals, is_there, strict=True) if not is_reached]
+    if (share := space.closed_share(here)) > _WORD_SHARE:
+        found.append(f"{share:.0%} of the rooms")
+    return f"{', '.join(found)}: cannot be reached by a robot of {scene.radius:g} m" if found else ""
 
 
 def with_people(scene: Scene, config: Config) -> Config:
@@ -85,19 +102,16 @@ def with_people(scene: Scene, config: Config) -> Config:
     return config
 
 
-def _check_free(parts: FreeParts, start: Pose) -> None:
-    """Raise InputError for a start in a solid: a table, a pillar, the inside of a thick wall."""
-    if parts.is_solid(start.position) and (near := parts.nearest(start.position)) is not None:
-        found = f"found ({start.x:g}, {start.y:g}), inside a table, a pillar or a wall"
-        raise InputError("start", found, f"a free place, such as ({near[0]:.2f}, {near[1]:.2f})")
-
-
-def _check_ways(parts: FreeParts, start: Pose, goals: Array, field: str) -> None:
-    """Raise InputError for a goal that no way leads to from the start, as in a shaft without a door."""
-    for (x, y), is_connected in zip(goals, parts.connected(start.position, goals), strict=True):
+def _check_free(space: FreeSpace, start: Pose, goals: Array, field: str) -> None:
+    """Raise InputError for a start in a table, a pillar or a thick wall, and for a goal that no way leads to."""
+    here = f"({start.x:g}, {start.y:g})"
+    if space.solid_at(start.position) and (near := space.nearest(start.position)) is not None:
+        found, allowed = f"found {here}, inside a table, a pillar or a wall", "a free place, such as"
+        raise InputError("start", found, f"{allowed} ({near[0]:.2f}, {near[1]:.2f})")
+    for (x, y), is_connected in zip(goals, space.connected(start.position, goals), strict=True):
         if not is_connected:
-            found = f"found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
-            raise InputError(field, found, f"a place that a robot of radius {parts.radius_m:g} m can drive to")
+            found = f"found ({x:g}, {y:g}), which no way leads to from the start {here}"
+            raise InputError(field, found, f"a place that a robot of radius {space.radius_m:g} m can drive to")
 
 
 def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import warnings
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import BaseModel, BeforeValidator, Field
 
 from sixthsense.config.errors import InputError, reason_of
-from sixthsense.config.section import Section
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.simulation.scene_files import Coordinate, check_count, read_floats, read_section, read_text
+from sixthsense.simulation.scene_files import check_count, checked, read_text
 
 MAX_PIXELS = 100_000_000
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF")
@@ -24,8 +22,7 @@ _SAVED_UNKNOWN, _SAVED_FREE = 205, 254
 """pixels that map_saver writes for unknown and free cells"""
 _LONGEST = 1 << 16  # characters
 _LONGEST_NAME = 1000
-_LONGEST_REASON = 300
-_DEEPEST = 20  # nested lists; a YAML parser is slow on deeper ones
+_MOST_LISTS = 20
 
 # Largest distance of a corner of the cells' outline from the simplified outline.
 _TOLERANCE_CELLS = 0.5
@@ -37,24 +34,25 @@ _DEVIATION_COST = 3.0
 _LOOK_AHEAD = 2000
 
 
-class _Map(Section):
-    """The fields of a map."""
+Origin = Annotated[float, Field(ge=-1e6, le=1e6)]
 
-    image: str
+
+def _lower(text: Any) -> Any:
+    return text.lower() if isinstance(text, str) else text
+
+
+class _Map(BaseModel):
+    """The fields of a map, whose values are text."""
+
+    image: Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]
     """metres a cell"""
-    origin: tuple[Coordinate, Coordinate, Coordinate]
+    origin: tuple[Origin, Origin, Origin]
     """x, y and yaw of the lower left corner"""
-    negate: Literal["0", "1", "false", "true"]
+    negate: Annotated[Literal["0", "1", "false", "true"], BeforeValidator(_lower)]
     occupied_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
     free_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
-    mode: Literal["trinary", "scale", "raw"] = "trinary"
-
-    @model_validator(mode="after")
-    def _named(self) -> Self:
-        if not 0 < len(self.image) <= _LONGEST_NAME:
-            raise InputError("image", f"found a name of {len(self.image)} characters", "the name of a file")
-        return self
+    mode: Annotated[Literal["trinary", "scale", "raw"], BeforeValidator(_lower)] = "trinary"
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
@@ -68,15 +66,10 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     InputError, without the map file's name, for a field that is missing or not allowed, and for an image that is
     missing, damaged, huge, entirely free or entirely solid.
     """
-    table = _read_yaml(file)
-    if isinstance(table, dict):
-        known = _Map.model_fields
-        table = {key: _read_value(key, text) for key, text in table.items() if key in known}
-    stated = read_section("", table, _Map)
-    T_world_map = Pose(*stated.origin)
-
+    stated = checked(_Map, _read_yaml(file))
     image = file.parent / Path(stated.image).expanduser()
-    values, is_transparent, low = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
+    values, is_transparent = _read_image(image)  # (H, W, channels)
+    values = values if stated.mode == "trinary" or is_transparent is None else values[:, :, :-1]
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
@@ -87,23 +80,18 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     is_occupied = (occupancy > stated.occupied_thresh) & ~is_unknown
     is_free = (occupancy < stated.free_thresh) & ~is_occupied & ~is_unknown
     saved, notes = _SAVED_UNKNOWN * channels, []
-    if (
-        stated.mode == "trinary"
-        and is_free[saved]
-        and {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
-    ):
+    is_saved = stated.mode == "trinary" and {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
+    if is_saved and is_free[saved]:
         is_free[saved] = False
         notes.append(
             f"pixels of {_SAVED_UNKNOWN} are unknown, as map_saver writes them; with free_thresh "
             f"{stated.free_thresh:g} Nav2's map_server takes them as free"
         )
     occupied = is_occupied[total] if unknown == "free" else ~is_free[total]
-    if stated.mode == "scale":
+    if stated.mode == "scale" and is_transparent is not None:
         occupied = np.where(is_transparent, unknown == "wall", occupied)
-    if not occupied.any():
-        raise InputError(image, "found no occupied pixel", "at least one above occupied_thresh")
-    if occupied.all():
-        raise InputError(image, "found no free pixel", "at least one below free_thresh")
+    if occupied.all() or not occupied.any():
+        raise InputError(image, f"all pixels are {'occupied' if occupied.all() else 'free'}", "some of both")
     solid = occupied[::-1]  # the image's first row is the map's top
     beyond = int(unknown == "wall" and _is_cut_off(solid))
     cells, cell_ends = outline_corners(np.pad(solid, beyond, constant_values=True))
@@ -112,7 +100,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     check_count(str(image), len(corners))
     following = np.arange(1, len(corners) + 1)
     following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
-    corners_world = T_world_map @ np.asarray((corners - beyond + low) * stated.resolution, dtype=np.float64)
+    corners_world = Pose(*stated.origin) @ np.asarray((corners - beyond) * stated.resolution, dtype=np.float64)
     return np.stack([corners_world, corners_world[following]], axis=1), tuple(notes)
 
 
@@ -123,36 +111,20 @@ def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
 
 
 def _read_yaml(file: Path) -> Any:
+    """The fields of a map as text, so that 5e-2 is a number, as in map_server."""
     import yaml
 
     text = read_text(file)
-    if len(text) > _LONGEST:
-        raise InputError("", f"found over {_LONGEST} characters", "the fields of a map")
-    depth = itertools.accumulate(1 if letter in "[{" else -1 for letter in text if letter in "[]{}")
-    if max(depth, default=0) > _DEEPEST:
-        raise InputError("", f"found lists over {_DEEPEST} deep", "the fields of a map")
+    if len(text) > _LONGEST or max(text.count("["), text.count("{")) > _MOST_LISTS:  # YAML is slow on nested lists
+        raise InputError("", f"found {len(text)} characters", "the fields of a map")
     try:
-        # The base loader keeps every value as text, so that 5e-2 is read as a number, as in map_server.
         return yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, RecursionError) as error:
-        raise InputError("", f"is not YAML ({reason_of(error, _LONGEST_REASON)})") from None
+        raise InputError("", f"is not YAML ({reason_of(error)})") from None
 
 
-def _read_value(key: Any, text: Any) -> Any:
-    """The value of a field as its type has it, as far as the text allows."""
-    if key in ("resolution", "occupied_thresh", "free_thresh"):
-        return read_floats([text])[0]
-    if key == "origin" and isinstance(text, list):
-        return read_floats(text)
-    return text.lower() if key in ("negate", "mode") and isinstance(text, str) else text
-
-
-def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArray[np.bool_], tuple[int, int]]:
-    """The image's pixels (H, W, channels), 0 to 255, (H, W) which are transparent, if only in part, and the first ones.
-
-    Of a huge image with a margin of one colour only what lies within is read, from the last value on: columns from the
-    left and rows from below.
-    """
+def _read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+    """The image's pixels (H, W, channels), 0 to 255, and (H, W) which are transparent; None without an alpha."""
     from PIL import Image
 
     try:
@@ -160,26 +132,18 @@ def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArra
             raise InputError(path, "is a folder, a pipe or a device", "an image file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image: Image.Image = Image.open(path, formats=_FORMATS)
+            image = Image.open(path, formats=_FORMATS)
         with image:
-            width, height = image.size
-            low = (0, 0)
-            if width * height > MAX_PIXELS:
-                left, top, right, bottom = _within_margin(np.asarray(image.convert("L")))
-                if (right - left) * (bottom - top) > MAX_PIXELS:
-                    allowed = f"{MAX_PIXELS:,} in all, without a margin of one colour"
-                    raise InputError(path, f"found {width} x {height} pixels", allowed)
-                image, low = image.crop((left, top, right, bottom)), (left, height - bottom)
+            if image.width * image.height > MAX_PIXELS:
+                found, allowed = f"found {image.width} x {image.height} pixels", f"{MAX_PIXELS:,} pixels in all"
+                raise InputError(path, found, allowed)
             if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
-                grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
-                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_), low
-            alpha = "A" in image.getbands() or "transparency" in image.info
-            if image.mode in ("1", "L") and not alpha:
-                grey = np.asarray(image.convert("L"))
-                return grey[:, :, None], np.zeros(grey.shape, dtype=np.bool_), low
-            pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
-            is_transparent = pixels[:, :, -1] < 255 if alpha else np.zeros(pixels.shape[:2], dtype=np.bool_)
-            return pixels if with_alpha else pixels[:, :, :3], is_transparent, low
+                return (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)[:, :, None], None
+            if "A" in image.getbands() or "transparency" in image.info:
+                pixels = np.asarray(image.convert("RGBA"))
+                return pixels, pixels[:, :, -1] < 255
+            pixels = np.asarray(image.convert("L" if image.mode in ("1", "L") else "RGB"))
+            return pixels.reshape(*pixels.shape[:2], -1), None
     except InputError:
         raise
     except Image.DecompressionBombError:
@@ -188,19 +152,8 @@ def _read_image(path: Path, with_alpha: bool) -> tuple[NDArray[np.uint8], NDArra
         raise InputError(path, "no such image file") from None
     except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
         # strerror omits the file's name
-        reason = (isinstance(error, OSError) and error.strerror) or reason_of(error, _LONGEST_REASON)
+        reason = (isinstance(error, OSError) and error.strerror) or reason_of(error)
         raise InputError(path, f"not a readable image ({reason})", f"{', '.join(_FORMATS)}") from None
-
-
-def _within_margin(grey: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of what lies within a margin of one colour (H, W), with a cell of it on each side."""
-    differs = grey != grey[0, 0]
-    (top, bottom), (left, right) = (
-        (max(int(found[0]) - 1, 0), min(int(found[-1]) + 2, len(any_of)))
-        for any_of in (differs.any(axis=1), differs.any(axis=0))
-        for found in [np.flatnonzero(any_of) if any_of.any() else np.array([0])]
-    )
-    return left, top, right, bottom
 
 
 def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

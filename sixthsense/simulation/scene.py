@@ -14,38 +14,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from sixthsense.config.errors import InputError
-from sixthsense.config.files import parse_toml
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.simulation.scene_files import (
     Point,
     Region,
-    check_count,
-    check_keys,
-    read_each,
-    read_floats,
-    read_numbers,
-    read_point,
-    read_polygon,
-    read_positive,
-    read_region,
-    read_section,
-    read_text,
-    read_wall,
+    ScriptedWalk,
+    in_radians,
+    ordered,
+    read_scene,
     scene_file,
     shipped_scenes,
 )
-from sixthsense.simulation.walking_space import ScriptedWalk, check_walks, read_walks
+from sixthsense.simulation.scene_grid import Bools, SceneGrid
 
 if TYPE_CHECKING:
     from sixthsense.core.picture import Picture
 
 __all__ = ["InputError", "Scene", "check_placement", "load_scene", "shipped_scenes"]
 
-_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass", "campus", "walkers")
-_OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
+BODY_M = 0.25
+"""radius of the disc that a person's body is"""
+_WALKING_CELL_M = 0.1
+_FINEST_M, _MOST_CELLS = 0.02, 5_000_000
+"""of the grid in which places are checked: in a large scene its cells are larger"""
+_SOLID_SHARE = 0.1
+"""of the largest room: a smaller one that walls enclose without a door is furniture"""
 _WIDTH_IN, _FRAME_IN = 8.0, 1.0  # of the picture, and the height of its title, axis label and legend
 _WALL, _GLASS, _GOAL, _ROBOT, _WALKER = "#4D4D4D", "#56B4E9", "#009E73", "#0072B2", "#882255"
 _NO_GLASS = np.zeros((0, 2, 2))
@@ -79,13 +77,10 @@ class Scene:
     """what a user should know of the file, a line each"""
 
     def __post_init__(self) -> None:
-        walls = np.array(self.walls, dtype=np.float64)
-        if walls.ndim != 3 or walls.shape[1:] != (2, 2) or len(walls) == 0:
-            raise InputError("walls", f"expected shape (N, 2, 2) with N > 0, got {walls.shape}")
-        glass = np.array(self.glass, dtype=np.float64)
-        if glass.ndim != 3 or glass.shape[1:] != (2, 2):
-            raise InputError("glass", f"expected shape (G, 2, 2), got {glass.shape}")
-        for name, segments in (("walls", walls), ("glass", glass)):
+        for name, least in (("walls", 1), ("glass", 0)):
+            segments = np.array(getattr(self, name), dtype=np.float64)
+            if segments.ndim != 3 or segments.shape[1:] != (2, 2) or len(segments) < least:
+                raise InputError(name, f"expected shape (N, 2, 2) with N >= {least}, got {segments.shape}")
             segments.flags.writeable = False
             object.__setattr__(self, name, segments)
 
@@ -119,12 +114,9 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
     not finite, or places the robot in a wall or outside the region.
     """
     path = scene_file(name_or_file)
-    suffix = path.suffix.lower()
     try:
-        if suffix == ".toml":
-            return _from_toml(path)
-        if suffix == ".scn":
-            return _from_scn(path)
+        if path.suffix.lower() in (".toml", ".scn"):
+            return _stated(path)
         from sixthsense.simulation.ros_map import read_map
 
         walls, notes = read_map(path, map_unknown)
@@ -136,92 +128,126 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
 
 def check_placement(
     scene: Scene,
-    start: Pose | Sequence[float] | None = None,
-    goal: Sequence[float] | None = None,
-    region: Sequence[float] | None = None,
+    start: Pose | tuple[float, float, float] | None = None,
+    goal: Point | None = None,
+    region: Region | None = None,
     radius: float = 0.0,
-    tour: Sequence[Sequence[float]] = (),
+    tour: Sequence[Point] = (),
 ) -> Pose:
     """Check a start, a goal and a tour against the walls of a loaded scene, and return the start.
 
     `start` (x, y, theta), `region` (x0, y0, x1, y1) and `radius` default to those of the scene (None, None, 0);
     `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises InputError, one line naming the
-    field, for a missing start, a place where the disc of `radius` touches a wall, a goal outside the region, a region
-    with reversed corners, a radius that is not positive, and numbers that are not finite.
+    field, for a missing start, a heading in degrees, a place where the disc of `radius` touches a wall, a goal outside
+    the region, and a region with reversed corners.
     """
-    radius = read_positive("radius", radius) if radius else scene.radius
-    bounds = scene.region if region is None else read_region("region", region)
-    if start is None:
-        start = scene.start
+    radius, bounds = radius or scene.radius, ordered(region or scene.region)
+    start = scene.start if start is None else start
     if start is None:
         raise InputError("start", f"missing, the scene {scene.name} has none of its own", "x y theta")
-    values = (start.x, start.y, start.theta) if isinstance(start, Pose) else start
-    x, y, theta = read_numbers("start", values, "x y theta")
-    _check_heading("start", theta)
-    _check_clear("start", (x, y), scene, radius)
+    if not isinstance(start, Pose):
+        try:
+            start = Pose(*in_radians(start))
+        except InputError as error:
+            raise error.at("start") from None
+    _check_clear("start", (start.x, start.y), scene, radius)
     goals = [] if goal is None else [("goal", goal)]
-    goals += [(f"tour, entry {k}", place) for k, place in enumerate(tour, 1)]
-    for where, found in goals:
-        place = read_point(where, found)
+    for where, place in [*goals, *((f"tour, entry {k}", place) for k, place in enumerate(tour, 1))]:
         _check_inside(where, place, bounds)
         _check_clear(where, place, scene, radius)
-    return start if isinstance(start, Pose) else Pose(x, y, theta)
+    return start
 
 
-def _from_toml(path: Path) -> Scene:
-    text = read_text(path)
-    check_count("walls", text.count("[") - _OTHER_LISTS)  # before they are parsed, which takes 10 s for 200,000
-    try:
-        table = parse_toml(text)
-    except ValueError as error:
-        raise InputError("", str(error)) from None
-    check_keys("", table, _SCENE_KEYS, ("start", "radius"))
-    segments = read_each("walls", table.get("walls", []), read_wall)
-    segments += itertools.chain(*read_each("polygons", table.get("polygons", []), read_polygon))
-    if "campus" in table:
-        from sixthsense.simulation.campus import Campus, campus_walls
+class FreeSpace:
+    """Where a disc can be in a scene."""
 
-        segments += campus_walls(read_section("campus", table["campus"], Campus)).tolist()
-    if not segments:
-        raise InputError("walls", "found none", "at least one wall, polygon or campus")
-    walls, glass = np.array(segments), read_each("glass", table.get("glass", []), read_wall)
-    region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
-    tour = tuple(read_each("tour", table.get("tour", []), read_point))
-    goal = read_point("goal", table["goal"]) if "goal" in table else None
-    x, y, theta = read_numbers("start", table["start"], "x y theta")
-    _check_heading("start", theta)
-    start = Pose(x, y, theta)
+    def __init__(self, scene: Scene, places: Array, radius_m: float) -> None:
+        """Among walls and glass, in an area that holds them and `places` (N, 2)."""
+        corners = np.concatenate([scene.solid.reshape(-1, 2), places])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        cell_m = max(_FINEST_M, math.sqrt(float(np.prod(high - low + 2.0 * radius_m)) / _MOST_CELLS))
+        margin = radius_m + 2.0 * cell_m
+        self.radius_m = radius_m
+        self.grid = SceneGrid(scene.solid, low - margin, high + margin, cell_m, margin)
+        # A disc is nowhere farther from a cell's centre than half a diagonal: all ways that there are lead over these.
+        self.passable: Bools = self.grid.clearance_m > radius_m - cell_m * math.sqrt(0.5)
+
+    def connected(self, start: Array, goals: Array) -> Bools:
+        """(N,) whether the disc may get from `start` (2,) to goals (N, 2)."""
+        return np.asarray(self.grid.at(self.grid.reachable(self.passable, start), goals), dtype=np.bool_)
+
+    def rooms(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(H, W) a number for each connected part, and (K,) their sizes in cells: 0 for walls and what is outside."""
+        parts, count = label(self.passable)
+        sizes = np.bincount(parts.ravel(), minlength=count + 1)
+        sizes[np.unique(np.concatenate([[0], parts[0], parts[-1], parts[:, 0], parts[:, -1]]))] = 0
+        return parts, sizes
+
+    def solid_at(self, place: Array) -> bool:
+        """Whether walls enclose a place (2,) in a small share of the largest room that they enclose: in furniture."""
+        parts, sizes = self.rooms()
+        return bool(0 < sizes[self.grid.at(parts, place)] < _SOLID_SHARE * sizes.max())
+
+    def nearest(self, place: Array) -> Array | None:
+        """(2,) the place nearest to a place (2,) where the disc fits, in the largest room; None without a room."""
+        parts, sizes = self.rooms()
+        fits = (parts == np.argmax(sizes)) & (self.grid.clearance_m > self.radius_m)
+        cell = self.grid.nearest(fits, place) if sizes.any() else None
+        return None if cell is None else self.grid.centres(np.array(cell))
+
+    def closed_share(self, start: Array) -> float:
+        """Share of the places where the disc fits that it cannot get to from `start` (2,), while a point could."""
+        is_open = self.grid.reachable(self.grid.clearance_m > 0.75 * self.grid.cell_m, start) & self.passable
+        own = self.grid.reachable(self.passable, start)
+        return float(1.0 - own[is_open].mean()) if is_open.any() else 0.0
+
+
+def walking_grid(scene: Scene) -> tuple[SceneGrid, Bools]:
+    """The grid of the region in which people walk, and (H, W) the cells in whose centres a body fits."""
+    x0, y0, x1, y1 = scene.region
+    grid = SceneGrid(scene.solid, np.array([x0, y0]), np.array([x1, y1]), _WALKING_CELL_M, BODY_M + _WALKING_CELL_M)
+    return grid, grid.clearance_m >= BODY_M
+
+
+def _stated(path: Path) -> Scene:
+    """The scene of a `.toml` or `.scn` file."""
+    stated = read_scene(path)
+    walls = [*stated.walls, *itertools.chain(*(polygon.walls() for polygon in stated.polygons))]
+    if not walls:
+        raise InputError("walls", "found none", "at least one wall or polygon")
+    segments = np.array(walls).reshape(-1, 2, 2)
     scene = Scene(
         path.stem,
-        walls,
-        start,
-        read_positive("radius", table["radius"]),
-        goal,
-        tour,
-        region,
-        glass=np.array(glass).reshape(-1, 2, 2),
-        walkers=read_walks(table.get("walkers", [])),
+        segments,
+        Pose(*stated.start),
+        stated.radius,
+        stated.goal,
+        stated.tour,
+        ordered(stated.region or _bounds(segments)),
+        glass=np.array(stated.glass).reshape(-1, 2, 2),
+        walkers=stated.walkers,
     )
-    _check_inside("start", (start.x, start.y), region)
-    check_placement(scene, goal=goal, tour=tour)
-    check_walks(scene.walkers, scene.solid, region)
+    _check_inside("start", stated.start[:2], scene.region)
+    check_placement(scene, goal=scene.goal, tour=scene.tour)
+    _check_walks(scene)
     return scene
 
 
-def _from_scn(path: Path) -> Scene:
-    rows = [(k, line.split()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    if not rows:
-        raise InputError("line 1", "missing", "x y theta radius")
-    number, words = rows[0]
-    x, y, theta, radius = read_numbers(f"line {number}", read_floats(words), "x y theta radius")
-    check_count("walls", len(rows) - 1)
-    if len(rows) == 1:
-        raise InputError(f"line {number + 1}", "missing", "at least one wall x1 y1 x2 y2")
-    walls = np.array([read_wall(f"line {number}", read_floats(words)) for number, words in rows[1:]])
-    radius = read_positive(f"line {number}, radius", radius)
-    scene = Scene(path.stem, walls, Pose(x, y, theta), radius, None, (), _bounds(walls))
-    check_placement(scene)
-    return scene
+def _check_walks(scene: Scene) -> None:
+    """Raise InputError for a way point in a wall or outside the region, and for two between which no way leads."""
+    if not scene.walkers:
+        return
+    grid, free = walking_grid(scene)
+    for k, walk in enumerate(scene.walkers, 1):
+        points = np.array(walk.points)
+        around = grid.reachable(free, points[0])
+        for number, (x, y) in enumerate(walk.points, 1):
+            where, found = f"walkers, entry {k}, point {number}", f"found ({x:g}, {y:g}),"
+            if not grid.at(free, np.array([x, y])):
+                allowed = f"a place with room for a body of {BODY_M:g} m"
+                raise InputError(where, f"{found} in a wall or outside the region", allowed)
+            if not grid.at(around, np.array([x, y])):
+                raise InputError(where, f"{found} to which no way leads from the first", "points that ways join")
 
 
 def _bounds(walls: Array) -> Region:
@@ -231,12 +257,6 @@ def _bounds(walls: Array) -> Region:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _check_heading(where: str, theta: float) -> None:
-    """Raise InputError for a heading that can only be degrees."""
-    if abs(theta) > 2.0 * math.pi:
-        raise InputError(where, f"found the heading {theta:g}", "radians, -6.28 to 6.28")
-
-
 def _check_inside(where: str, point: Point, region: Region) -> None:
     (x, y), (x0, y0, x1, y1) = point, region
     if not (x0 <= x <= x1 and y0 <= y <= y1):
@@ -244,32 +264,30 @@ def _check_inside(where: str, point: Point, region: Region) -> None:
 
 
 def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
-    distance = float(point_segment_distance(np.array(point), scene.solid).min())
-    found, allowed = f"found ({point[0]:g}, {point[1]:g}),", f"more than the robot's radius {radius:g} m"
-    if distance <= radius * (1.0 + 1e-9):
-        raise InputError(where, f"{found} {distance:.3g} m from a wall", allowed + _near(point, scene, radius))
-    if _is_in_wall(point, scene):
-        allowed = "a free place" + _near(point, scene, radius)
-        raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", allowed)
+    """Raise InputError, with the nearest free place, for a place in a wall or too near to one."""
+    place = np.array(point, dtype=np.float64)
+    distance = float(point_segment_distance(place, scene.solid).min())
+    is_inside = _is_in_wall(place, scene)
+    if distance > radius * (1.0 + 1e-9) and not is_inside:
+        return
+    found = f"found ({point[0]:g}, {point[1]:g}), {distance:.3g} m from a wall"
+    allowed = f"more than the robot's radius {radius:g} m"
+    if is_inside:
+        found, allowed = f"found ({point[0]:g}, {point[1]:g}), inside a wall, {distance:.3g} m deep", "a free place"
+    near = FreeSpace(scene, place[None], radius).nearest(place)
+    if near is not None and not _is_in_wall(near, scene):
+        allowed += f", such as ({near[0]:.2f}, {near[1]:.2f})"
+    raise InputError(where, found, allowed)
 
 
-def _is_in_wall(point: Point, scene: Scene) -> bool:
-    """Whether a point lies inside the outlines of a scene whose walls have the solid on their left."""
+def _is_in_wall(place: Array, scene: Scene) -> bool:
+    """Whether a place (2,) lies inside the outlines of a scene whose walls have the solid on their left."""
     if not scene.solid_left:
         return False
-    ends = scene.walls - np.array(point)  # (N, 2, 2)
+    ends = scene.walls - place  # (N, 2, 2)
     cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
     turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
     return bool(turns > 0.5)
-
-
-def _near(point: Point, scene: Scene, radius: float) -> str:
-    """The end of a message about a place that is not free: the nearest one that is."""
-    from sixthsense.simulation.free_parts import FreeParts  # here, since most places are free
-
-    place = np.array(point, dtype=np.float64)
-    near = FreeParts(scene.solid, place[None], radius, is_coarse=True).nearest(place)
-    return "" if near is None or _is_in_wall((near[0], near[1]), scene) else f", such as ({near[0]:.2f}, {near[1]:.2f})"
 
 
 def _picture(scene: Scene) -> Picture:

@@ -1,35 +1,120 @@
-"""Files of scenes: their names, and checks of their fields with one-line errors that name the field.
+"""Files of scenes: where they are, and what a `.toml` or `.scn` file may state. Metres and radians, world frame.
 
 Loads nothing large, so that a wrong name is told at once.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-import numbers
-from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sixthsense.config.errors import InputError, nearest
-from sixthsense.config.files import path_of
+from sixthsense.config.files import parse_toml, path_of
 from sixthsense.config.section import Section, shown, shown_name
 
-T = TypeVar("T")
-S = TypeVar("S", bound=Section)
-Point = tuple[float, float]
-Region = tuple[float, float, float, float]
+M = TypeVar("M", bound=BaseModel)
 
 SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 MAX_WALLS = 50_000
 """every beam is compared with every wall"""
+_OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
 _LIMIT_M = 1e6
 _LONGEST = 1 << 23  # characters; an endless stream must not fill the memory
 _SHORTEST_WALL_M = 1e-6
+_MOST_WALKS = 200
 
-Coordinate = Annotated[float, Field(ge=-_LIMIT_M, le=_LIMIT_M)]
+Coordinate = Annotated[float, Field(strict=True, ge=-_LIMIT_M, le=_LIMIT_M)]
+Point = tuple[Coordinate, Coordinate]
+Region = tuple[float, float, float, float]
+Wall = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+
+
+def _with_length(wall: Wall) -> Wall:
+    if math.dist(wall[:2], wall[2:]) < _SHORTEST_WALL_M:
+        raise InputError("", f"found a wall of no length at ({wall[0]:g}, {wall[1]:g})", "two different ends")
+    return wall
+
+
+def ordered(region: Region) -> Region:
+    """A region with its corners in order; InputError otherwise."""
+    x0, y0, x1, y1 = region
+    if not (x0 < x1 and y0 < y1):
+        raise InputError("region", f"found [{x0:g}, {y0:g}, {x1:g}, {y1:g}]", "x0 < x1 and y0 < y1")
+    return region
+
+
+def in_radians(start: tuple[float, float, float]) -> tuple[float, float, float]:
+    """A start, x y theta, whose heading is no number of degrees; InputError otherwise."""
+    if abs(start[2]) > 2.0 * math.pi:
+        raise InputError("", f"found the heading {start[2]:g}", "radians, -6.28 to 6.28")
+    return start
+
+
+class ScriptedWalk(Section):
+    """A walk that a scene states: way points that someone visits again and again, each by the shortest way."""
+
+    points: tuple[Point, ...]
+    speed: Annotated[float, Field(gt=0.0, le=3.0)] = 1.0
+    """m/s"""
+    pauses: tuple[Annotated[float, Field(ge=0.0, le=1e6)], ...] | None = None
+    """at each way point, s; None: none"""
+
+    @model_validator(mode="after")
+    def _paused(self) -> Self:
+        if self.pauses is not None and len(self.pauses) != len(self.points):
+            allowed = f"a time for each of the {len(self.points)} way points"
+            raise InputError("pauses", f"found {len(self.pauses)}", allowed)
+        return self
+
+    def pause_s(self, k: int) -> float:
+        """The pause at way point k."""
+        return 0.0 if self.pauses is None else self.pauses[k]
+
+
+class Polygon(Section):
+    """A closed polygon, or an open polyline."""
+
+    points: tuple[Point, ...]
+    closed: bool = True
+
+    @model_validator(mode="after")
+    def _with_sides(self) -> Self:
+        least = 3 if self.closed else 2
+        if len(self.points) < least:
+            raise InputError("points", f"found {len(self.points)}", f"at least {least}")
+        for wall in self.walls():
+            _with_length(wall)
+        return self
+
+    def walls(self) -> list[Wall]:
+        """Its sides."""
+        ends = [*self.points, self.points[0]] if self.closed else self.points
+        return [(*a, *b) for a, b in itertools.pairwise(ends)]
+
+
+class SceneFile(BaseModel):
+    """The fields of a scene, as a file states them."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    start: Annotated[tuple[Coordinate, Coordinate, Coordinate], AfterValidator(in_radians)]
+    """x, y and heading of the robot"""
+    radius: Annotated[float, Field(strict=True, gt=0.0, le=_LIMIT_M)]
+    """of the robot"""
+    goal: Point | None = None
+    tour: tuple[Point, ...] = ()
+    region: Wall | None = None
+    """x0 y0 x1 y1; None: the bounds of the walls"""
+    walls: list[Annotated[Wall, AfterValidator(_with_length)]] = []
+    """by their two ends"""
+    polygons: tuple[Polygon, ...] = ()
+    glass: list[Annotated[Wall, AfterValidator(_with_length)]] = []
+    """stops the robot and no beam"""
+    walkers: Annotated[tuple[ScriptedWalk, ...], Field(max_length=_MOST_WALKS)] = ()
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -49,6 +134,37 @@ def scene_file(name_or_file: str | Path) -> Path:
         allowed = f"{', '.join(shipped)}, or a file ending in {', '.join(SUFFIXES)}"
         raise InputError("scene", f"found {shown(found)}", allowed, nearest(found, shipped))
     return path
+
+
+def read_scene(path: Path) -> SceneFile:
+    """The fields of a `.toml` file, or those of a `.scn` file: a line `x y theta radius` and a line for each wall.
+
+    Raises InputError, without the file's name, which names the field.
+    """
+    text = read_text(path)
+    check_count("walls", text.count("[") - _OTHER_LISTS)  # before they are parsed, which takes 10 s for 200,000
+    if path.suffix.lower() == ".toml":
+        try:
+            return checked(SceneFile, parse_toml(text))
+        except InputError:
+            raise
+        except ValueError as error:
+            raise InputError("", str(error)) from None
+    rows = [_numbers(f"line {k}", line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    check_count("walls", len(rows))
+    head = rows[0] if rows else ()
+    return checked(SceneFile, {"start": head[:3], "radius": head[3] if rows else None, "walls": rows[1:]})
+
+
+def _numbers(where: str, line: str) -> tuple[float, ...]:
+    """The four numbers of a line."""
+    try:
+        values = tuple(map(float, line.split()))
+    except ValueError:
+        values = ()
+    if len(values) != 4:
+        raise InputError(where, f"found {shown(line)}", "4 numbers")
+    return values
 
 
 def read_text(path: Path) -> str:
@@ -73,100 +189,26 @@ def check_count(where: str, found: int, reason: str = "") -> None:
         raise InputError(where, f"found {found:,} walls or more", f"at most {MAX_WALLS:,}{reason}")
 
 
-def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
-    """Raise InputError for the first key of `table` that is unknown, or of `required` that is missing."""
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}{shown_name(key)}", "no such field", ", ".join(known), nearest(key, known))
-    for key in required:
-        if key not in table:
-            raise InputError(f"{where}{key}", f"missing, required are {', '.join(required)}")
-
-
-def read_section(where: str, table: Any, kind: type[S]) -> S:
-    """A table as a section of this kind, whose fields without a default are required."""
-    known = {name: field.is_required() for name, field in kind.model_fields.items()}
-    if not isinstance(table, dict):
-        raise InputError(where, f"found {shown(table)}", f"a table with {', '.join(known)}")
-    prefix = f"{where}, " if where else ""
-    check_keys(prefix, table, list(known), [name for name, is_required in known.items() if is_required])
+def checked(kind: type[M], table: Any) -> M:
+    """A table as a model of this kind; InputError that names the field and the entry of a list."""
     try:
-        return kind(**table)
-    except InputError as error:
-        raise error.at(f"{prefix}{error.where}") from None
-
-
-def read_floats(words: Iterable[Any]) -> list[Any]:
-    """Words as numbers; a word that is not a number is kept for the error message."""
-    values: list[Any] = []
-    for word in words:
-        try:
-            values.append(float(word))
-        except (TypeError, ValueError):
-            values.append(word)
-    return values
-
-
-def read_each(where: str, values: Any, read: Callable[[str, Any], T]) -> list[T]:
-    """The entries of a list, each by `read`, which takes the entry's name for messages and its value."""
-    if not isinstance(values, list):
-        raise InputError(where, f"found {shown(values)}", "a list")
-    return [read(f"{where}, entry {k}", value) for k, value in enumerate(values, 1)]
-
-
-def read_numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
-    """One finite float for each of the space-separated `names`."""
-    count = len(names.split())
-    is_list = isinstance(values, Iterable) and not isinstance(values, (str, bytes, Mapping))
-    found: list[Any] = list(values) if is_list else []
-    is_number = all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in found)
-    if len(found) != count or not is_number or not all(abs(v) <= _LIMIT_M for v in found):  # true for NaN
-        raise InputError(where, f"found {shown(values)}", f"{count} numbers ({names}), none beyond {_LIMIT_M:.0e}")
-    return tuple(float(v) for v in found)
-
-
-def read_positive(where: str, value: Any) -> float:
-    """A length above 0."""
-    usable = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not usable or not 0.0 < value <= _LIMIT_M:
-        raise InputError(where, f"found {shown(value)}", "a number above 0, metres")
-    return float(value)
-
-
-def read_point(where: str, values: Any) -> Point:
-    """Two finite numbers, x and y."""
-    x, y = read_numbers(where, values, "x y")
-    return x, y
-
-
-def read_region(where: str, values: Any) -> Region:
-    """Four finite numbers, x0 y0 x1 y1, corners in order."""
-    x0, y0, x1, y1 = read_numbers(where, values, "x0 y0 x1 y1")
-    if not (x0 < x1 and y0 < y1):
-        raise InputError(where, f"found [{x0:g}, {y0:g}, {x1:g}, {y1:g}]", "x0 < x1 and y0 < y1")
-    return x0, y0, x1, y1
-
-
-def read_wall(where: str, values: Any) -> list[Point]:
-    """The two ends of a wall of positive length."""
-    x1, y1, x2, y2 = read_numbers(where, values, "x1 y1 x2 y2")
-    if math.hypot(x2 - x1, y2 - y1) < _SHORTEST_WALL_M:
-        raise InputError(where, f"found a wall of no length at ({x1:g}, {y1:g})", "two different ends")
-    return [(x1, y1), (x2, y2)]
-
-
-class _Polygon(Section):
-    """A closed polygon, or an open polyline."""
-
-    points: tuple[tuple[Coordinate, Coordinate], ...]
-    closed: bool = True
-
-
-def read_polygon(where: str, table: Any) -> list[list[Point]]:
-    """The sides of a closed polygon or of an open polyline."""
-    found = read_section(where, table, _Polygon)
-    points, least = found.points, 3 if found.closed else 2
-    if len(points) < least:
-        raise InputError(f"{where}, points", f"found {len(points)}", f"at least {least}")
-    ends = [*points[1:], points[0]] if found.closed else points[1:]
-    return [read_wall(f"{where}, side {k}", [*a, *b]) for k, (a, b) in enumerate(zip(points, ends, strict=False), 1)]
+        return kind.model_validate(table)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    names, known = first["loc"], list(kind.model_fields)
+    is_missing = first["type"] == "missing"
+    places = names[: 1 if is_missing and len(names) == 2 else 2]  # of a tuple that is too short the field alone
+    where = ", ".join(f"entry {part + 1}" if isinstance(part, int) else shown_name(part) for part in places)
+    cause, found = first.get("ctx", {}).get("error"), f"found {shown(first['input'])}"
+    if isinstance(cause, InputError):
+        raise cause.at(", ".join(filter(None, [where, cause.where])))
+    if first["type"] == "extra_forbidden":
+        raise InputError(where, "no such field", ", ".join(known), nearest(names[0], known))
+    if is_missing and len(names) == 1:
+        required = [name for name, field in kind.model_fields.items() if field.is_required()]
+        raise InputError(where, f"missing, required are {', '.join(required)}")
+    if first["type"] == "too_long":
+        raise InputError(where, f"found {first['ctx']['actual_length']}", f"at most {first['ctx']['max_length']}")
+    if is_missing:
+        raise InputError(where, found, "more numbers")
+    raise InputError(where, found, first["msg"].removeprefix("Input should be ").replace("greater than", "above"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,13 @@ from sixthsense.config import Config, WorldConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.random_streams import random_streams
-from sixthsense.simulation.scene import Scene
-from sixthsense.simulation.walking_space import BODY_M, Cells, ScriptedWalk, WalkingSpace
+from sixthsense.simulation.scene import BODY_M, Scene, walking_grid
+from sixthsense.simulation.scene_files import ScriptedWalk
 
 LEG_M = 0.06
 """radius of a leg"""
 
-_SPEEDS = (0.5, 1.5)  # m/s, of those who walk from room to room
+_SPEEDS = (0.5, 1.5)  # m/s, of those who walk about
 _PAUSES_S = (0.0, 10.0)  # in a room
 _HALF_HIPS_M = 0.1
 _HALF_STEP_M = 0.2  # farthest that a leg swings before and behind the body
@@ -32,7 +32,7 @@ _ARRIVED_M = 0.15
 _APART_M = 1.0  # two people at the start, or one and the robot
 _TRIES = 5  # other goals of someone who cannot go on
 _PARTED_M = 0.05  # gap after which the next touch is another one
-_TURNS = np.radians([0.0, -20.0, 20.0, -40.0, 40.0, -60.0, 60.0, -80.0, 80.0])  # people keep to the right
+_TURNS = np.radians([side * turn for turn in range(0, 81, 20) for side in (-1, 1)][1:])  # people keep to the right
 
 
 Itinerary = Iterator[tuple[Array, float]]
@@ -46,14 +46,10 @@ def _rounds(walk: ScriptedWalk) -> Itinerary:
         yield np.array(walk.points[k]), walk.pause_s(k)
 
 
-def _from_room_to_room(space: WalkingSpace, rooms: Sequence[Cells], rng: np.random.Generator) -> Itinerary:
-    """A random place of another room each time; of the same room if there is only one."""
-    room = -1
+def _about(places: Array, rng: np.random.Generator) -> Itinerary:
+    """Random ones of the places (N, 2)."""
     while True:
-        others = [k for k in range(len(rooms)) if k != room] or [room]
-        room = others[rng.integers(len(others))]
-        cells = rooms[room]
-        yield space.centres(cells[rng.integers(len(cells))]), float(rng.uniform(*_PAUSES_S))
+        yield places[rng.integers(len(places))], float(rng.uniform(*_PAUSES_S))
 
 
 @dataclass(slots=True)
@@ -64,7 +60,9 @@ class _Walker:
     speed: float
     rest_s: float
     """left of the pause"""
-    way: Array
+    goal: Array
+    """(2,)"""
+    way: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(N, 2) to the goal"""
     ahead: int = 0
     """the way point that is walked to; len(way): arrived"""
@@ -84,23 +82,21 @@ class Walkers:
 
         Raises InputError for more than there is room for.
         """
-        self._space = space = WalkingSpace(scene.solid, scene.region)
+        self._grid, self._free = grid, free = walking_grid(scene)
         self._blind, self._contact_m = config.walkers_blind, radius_m + BODY_M
-        self._radius_m = radius_m
-        around = space.around(start.position)
-        rooms = space.rooms(around) if around.any() else []
+        around = grid.centres(np.argwhere(grid.reachable(free, start.position)))
         places = [np.array(walk.points[0]) for walk in scene.walkers]
-        found = _places(space.centres(np.argwhere(around)), [start.position, *places], config.walkers, rng)
+        found = _places(around, [start.position, *places], config.walkers, rng)
         if len(found) < config.walkers:
             raise InputError(
                 "world.walkers",
                 f"found {config.walkers}",
                 f"at most {len(found)}, for whom there is room in {scene.name}",
             )
-        self._people = [_Walker(_rounds(walk), walk.speed, walk.pause_s(0), _NOWHERE) for walk in scene.walkers]
-        for _ in found:
-            walk, speed = _from_room_to_room(space, rooms, rng), float(rng.uniform(*_SPEEDS))
-            self._people.append(_Walker(walk, speed, float(rng.uniform(*_PAUSES_S)), _NOWHERE))
+        self._people = [_Walker(_rounds(w), w.speed, w.pause_s(0), np.array(w.points[0])) for w in scene.walkers]
+        for place in found:
+            speed, rest_s = float(rng.uniform(*_SPEEDS)), float(rng.uniform(*_PAUSES_S))
+            self._people.append(_Walker(_about(around, rng), speed, rest_s, place))
         self.at = np.array([*places, *found]).reshape(-1, 2)
         """(N, 2) where they are"""
         self.headings = rng.uniform(-math.pi, math.pi, len(self.at))
@@ -167,15 +163,16 @@ class Walkers:
             walker.ahead += 1
         if walker.ahead == len(walker.way):
             walker.rest_s = walker.pause_s
-            self._set_out(walker, here)
+            walker.goal, walker.pause_s = next(walker.itinerary)
+            self._set_out(k)
             return
         off = walker.way[walker.ahead] - here
         heading = math.atan2(off[1], off[0]) + _TURNS
         ways = np.stack([np.cos(heading), np.sin(heading)], axis=1)  # (T, 2)
         ahead_m = np.array([0.5, 1.0])[:, None, None] * min(_AHEAD_M, math.hypot(off[0], off[1]))
-        open_ways = self._space.is_free(here + ahead_m * ways).all(axis=0)
+        open_ways = self._grid.at(self._free, here + ahead_m * ways).all(axis=0)
         if not open_ways.any():
-            self._set_out(walker, here, walker.way[-1])
+            self._set_out(k)
             return
         clear = open_ways & self._passes_others(k, walker.speed * ways)
         if not self._blind:
@@ -185,7 +182,7 @@ class Walkers:
             walker.stood_s += _DECIDE_S
             if walker.stood_s >= _PATIENCE_S:
                 walker.stood_s = 0.0
-                self._step_aside(k, robot)
+                self._set_out(k, self._in_the_way(k, robot))
             return
         walker.stood_s = 0.0
         best = int(np.argmax(clear))
@@ -210,32 +207,21 @@ class Walkers:
         half_sq = (self._contact_m + _BESIDE_M) ** 2 - aside**2
         return np.asarray((half_sq > 0.0) & (ahead > 0.0) & (ahead < _KEEP_M + np.sqrt(np.maximum(half_sq, 0.0))))
 
-    def _step_aside(self, k: int, robot: Array) -> None:
-        """Go round those who are in the way, or where they are not."""
-        walker, here = self._people[k], self.at[k]
-        wanted = [(place, 2.0 * BODY_M) for j, place in enumerate(self.at) if j != k]
-        wanted.append((robot, self._contact_m + 2.0 * _BESIDE_M))
-        # Not nearer than now, if it is too near already.
-        avoid = [(place, min(radius_m, math.dist(place, here))) for place, radius_m in wanted]
-        way = self._space.way(here, walker.way[-1], avoid)
+    def _in_the_way(self, k: int, robot: Array) -> list[tuple[Array, float]]:
+        """Discs around the others and the robot that walker k keeps off; not nearer than now, where it is too near."""
+        discs = [(place, 2.0 * BODY_M) for j, place in enumerate(self.at) if j != k]
+        discs.append((robot, self._contact_m + 2.0 * _BESIDE_M))
+        return [(place, min(radius_m, math.dist(place, self.at[k]))) for place, radius_m in discs]
+
+    def _set_out(self, k: int, avoid: Sequence[tuple[Array, float]] = ()) -> None:
+        """Have walker k take the shortest way to its goal, or to one of the next goals if none leads there."""
+        walker = self._people[k]
         for _ in range(_TRIES):
+            way = self._grid.way(self._free, self.at[k], walker.goal, avoid)
             if way is not None:
-                break
-            goal, walker.pause_s = next(walker.itinerary)
-            way = self._space.way(here, goal, avoid)
-        if way is not None:
-            walker.way, walker.ahead = way, 1
-
-    def _set_out(self, walker: _Walker, here: Array, goal: Array | None = None) -> None:
-        """Take the shortest way to a goal, by default the next one."""
-        if goal is None:
-            goal, walker.pause_s = next(walker.itinerary)
-        way = self._space.way(here, goal)
-        if way is not None:
-            walker.way, walker.ahead = way, 1
-
-
-_NOWHERE = np.zeros((0, 2))
+                walker.way, walker.ahead = way, 1
+                return
+            walker.goal, walker.pause_s = next(walker.itinerary)
 
 
 def walkers_of(scene: Scene, config: Config, start: Pose, radius_m: float) -> Walkers | None:

@@ -34,14 +34,13 @@ def way(seconds: float) -> Pose:
 
 def robot_bag(
     path: Path, kind: str = "mcap", *, seconds: float = 6.0, scan=lambda k, says: says, odom=lambda k, says: says,
-    links=LINKS, odom_in_tf: bool = False, late_s: float = 0.0, echo: bool = False,
-    namespace: str = "", odom_type: str = "", empty: bool = False,
+    links=LINKS, odom_in_tf: bool = False, late_s: float = 0.0, echo: bool = False, odom_type: str = "",
 ) -> Path:  # fmt: skip
     """Write the bag: odometry every 20 ms and a scan of 240 beams every 100 ms.
 
     `scan` and `odom` change what scan or pose number `k` says, a dictionary, or leave the message out by None. `links`
     are constant transforms, static or of /tf. The scans' clock is `late_s` ahead of the others. Odometry may be poses
-    of another type, and topics of scans and odometry without a message may stand beside those with some.
+    of another type.
     """
 
     def put_scan(k, record_ns):
@@ -56,7 +55,7 @@ def robot_bag(
         ranges = np.asarray(ranges)[:: -1 if says.get("is_mirrored") else 1]
         unit, turn = says["unit"], says.get("angle_unit", 1.0)
         bag.scan(
-            says["stamp_ns"], unit * ranges, namespace + says["topic"], first=turn * says["first"],
+            says["stamp_ns"], unit * ranges, says["topic"], first=turn * says["first"],
             step=turn * says["step"], low=unit * says["low"], high=unit * says["high"], frame=says["frame"], echo=echo,
             record_ns=record_ns, lag=says["lag"], last=says["last"],
         )  # fmt: skip
@@ -71,7 +70,7 @@ def robot_bag(
             bag.transform("odom", "base_footprint", pose, stamp_ns=says["stamp_ns"])
             return
         pose = Pose(says["unit"] * pose.x, says["unit"] * pose.y, pose.theta)
-        topic = f"{namespace}/odom"
+        topic = "/odom"
         if odom_type:
             shown = bag.pose(pose) if odom_type.endswith("PoseStamped") else bag.spread(pose)
             bag.put(topic, odom_type, record_ns, bag.header(says["stamp_ns"], "odom"), shown)
@@ -79,8 +78,6 @@ def robot_bag(
         bag.odometry(says["stamp_ns"], pose, topic, turn=says["turn"], child=says["child"], record_ns=record_ns)
 
     with Bag(path, kind) as bag:
-        for name, of in (("/scan_front", "sensor_msgs/msg/LaserScan"), ("/wheels", "nav_msgs/msg/Odometry")) * empty:
-            bag.writer.add_connection(name, of, typestore=bag.store)
         for where, *link in links:
             if where == "static":
                 bag.transform(*link, record_ns=T0_NS)

@@ -16,7 +16,6 @@ from sixthsense.core.ray_casting import cast_rays
 from sixthsense.logs import open_log
 
 TF = (("tf", "base_footprint", "base_link", Pose()), ("tf", "base_link", "laser", MOUNT))
-BACKWARDS = (("static", "laser", "base_footprint", MOUNT.inverse()),)
 NAN, S = np.full(240, np.nan), 10**9
 
 
@@ -55,31 +54,22 @@ def interlaced(n, says):
 READ = {
     "base": ({}, 60, ()),
     "1073 then 719 beams": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, 60, ()),
-    "beams vary": ({"scan": lidar(lambda n: 717 + 3 * (n % 4))}, 60, ()),
     "interlaced": ({"scan": interlaced}, 60, ()),
     "clockwise": ({"scan": lambda n, says: {**says, "first": 2.0, "step": -says["step"]}}, 60, ()),
     "short range first": ({"scan": at(first, "high", 1.5)}, 60, ()),
     "another frame first": ({"scan": at(first, "frame", "base_scan")}, 57, ("left_out",)),
-    "a second laser": ({"scan": at(lambda n: n % 3 == 0, "frame", "rear")}, 40, ("left_out",)),
     "mount in /tf": ({"links": TF}, 60, ()),
-    "mount as parent": ({"links": BACKWARDS}, 60, ()),
     "odometry and mount in /tf": ({"links": TF, "odom_in_tf": True}, 60, ("odometry_frames",)),
     "no child frame": ({"odom": at(every, "child", "")}, 60, ("assumed_mount",)),
-    "topics without a message": ({"empty": True}, 60, ()),
     "zero quaternion": ({"odom": at(first, "turn", (0.0, 0.0, 0.0, 0.0))}, 60, ("left_out",)),
     "one range": ({"scan": at(at_40, "count", 1)}, 59, ("left_out",)),
-    "no range": ({"scan": at(at_40, "count", 0)}, 59, ("left_out",)),
-    "no angles": ({"scan": at(at_40, "angle_unit", math.inf)}, 59, ("left_out",)),
     "all NaN": ({"scan": at(at_40, "ranges", NAN)}, 60, ()),
     "range_max 0": ({"scan": at(every, "high", 0.0)}, 60, ("assumed_range",)),
-    "range_max NaN once": ({"scan": at(at_40, "high", math.nan)}, 60, ("assumed_range",)),
     "scans 37 s ahead": ({"late_s": 37.0}, 60, ("clocks",)),
-    "scans 7.3 s behind": ({"late_s": -7.3}, 60, ("clocks",)),
     "scans 0.3 s ahead": ({"late_s": 0.3}, 60, ("clocks",)),
     "no stamps": ({"scan": at(every, "stamp_ns", 0)}, 60, ()),
     "one stamp": ({"scan": at(every, "stamp_ns", T0_NS)}, 60, ("stamps_of_recording", "stamps_repeat")),
     "echoes": ({"echo": True}, 60, ()),
-    "namespace": ({"namespace": "/robot1"}, 60, ()),
     "sqlite": ({"kind": "sqlite"}, 60, ()),
     "ros1": ({"kind": "ros1"}, 60, ()),
 }  # fmt: skip
@@ -145,9 +135,8 @@ def test_a_bag_in_other_units_is_read_with_the_option(name, tmp_path):
     assert log.ticks[-1].odometry.array() == pytest.approx(way(5.98).array(), abs=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
-def test_a_topic_of_poses_is_odometry_where_it_is_named(kind, tmp_path):
-    bag = robot_bag(tmp_path / "bag", odom_type=f"geometry_msgs/{kind}")
+def test_a_topic_of_poses_is_odometry_where_it_is_named(tmp_path):
+    bag = robot_bag(tmp_path / "bag", odom_type="geometry_msgs/PoseWithCovarianceStamped")
     alone, log = open_log(bag), open_log(bag, topics=["/odom"])
     assert not alone.has_odometry and log.has_odometry and off_walls_m(log.ticks) < 1e-4
     assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=1e-6)
@@ -160,7 +149,6 @@ def only(has):
 
 # name: keywords of the bag, and when scans go on alone
 REPLAYED = {
-    "odometry late": (only(lambda n: n >= 100), "from 0.0 to 2.0 s"),
     "odometry dies": (only(lambda n: n <= 190), "from 3.9 to 5.9 s"),
     "odometry pauses": (only(lambda n: n < 100 or n > 170), "from 2.0 to 3.4 s"),
     "beams change": ({"scan": lidar(lambda n: 1073 if n < 4 else 719)}, ""),

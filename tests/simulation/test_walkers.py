@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
-from sixthsense.simulation.scene import Scene, load_scene
+from sixthsense.simulation.scene import Scene, load_scene, walking_grid
+from sixthsense.simulation.scene_files import ScriptedWalk
+from sixthsense.simulation.scene_grid import _STEPS, _search
 from sixthsense.simulation.walkers import Walkers, walkers_of
-from sixthsense.simulation.walking_space import ScriptedWalk, WalkingSpace, check_walks, read_walks
 from sixthsense.simulation.world import World
 
 CORNER = np.array([-2.3, 3.4])  # of the building, whose places are stated from there
@@ -39,7 +41,7 @@ def walkers(*walks: ScriptedWalk, walls: Array = HALL, start: Pose = AWAY, seed:
 
 
 def walk(*points: tuple[float, float], speed: float = 1.3, pauses: tuple[float, ...] | None = None) -> ScriptedWalk:
-    return ScriptedWalk(tuple(at(*point).position.tolist() for point in points), speed, pauses)
+    return ScriptedWalk(points=[at(*point).position.tolist() for point in points], speed=speed, pauses=pauses)
 
 
 def tracks(people: Walkers, seconds: float, robot: Pose = AWAY) -> Array:
@@ -51,17 +53,13 @@ def tracks(people: Walkers, seconds: float, robot: Pose = AWAY) -> Array:
     return np.array(found)
 
 
-def test_distances_to_walls_are_those_of_a_plain_computation() -> None:
-    space = WalkingSpace(DIVIDED, REGION)
-    rows, cols = np.indices(space.free.shape)
-    centres = space.centres(np.stack([rows, cols], axis=-1).reshape(-1, 2))
-    plain = np.array([point_segment_distance(p, DIVIDED).min() >= 0.25 for p in centres])
-    assert np.array_equal(space.free.ravel(), plain)
+def scene_of(walls: Array, *walks: ScriptedWalk) -> Scene:
+    return Scene("hall", walls, AWAY, 0.2, None, (), REGION, walkers=walks)
 
 
 def test_a_way_is_as_short_as_dijkstras() -> None:
-    space = WalkingSpace(DIVIDED, REGION)
-    free, number = space.free, np.arange(space.free.size).reshape(space.free.shape)
+    grid, free = walking_grid(scene_of(DIVIDED))
+    number = np.arange(free.size).reshape(free.shape)
     ends, costs = [], []
     for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
         for r, c in np.argwhere(free):
@@ -75,18 +73,16 @@ def test_a_way_is_as_short_as_dijkstras() -> None:
     rng = np.random.default_rng(0)
     cells = np.argwhere(free)[rng.integers(np.count_nonzero(free), size=(8, 2))]
     for first, last in cells:
-        from sixthsense.simulation.walking_space import _STEPS, _search
-
-        before = np.full(free.shape, -1, dtype=np.int8)
-        assert _search(free, tuple(first), tuple(last), before)
-        cost, cell = 0.0, tuple(last)
-        while cell != tuple(first):
-            step = _STEPS[before[cell]]
-            cost, cell = cost + np.hypot(*step), (cell[0] - step[0], cell[1] - step[1])
+        step = np.full(free.shape, -1, dtype=np.int8)
+        assert _search(free, tuple(last), tuple(first), step)
+        cost, cell = 0.0, tuple(first)
+        while cell != tuple(last):
+            down, across = _STEPS[step[cell]]
+            cost, cell = cost + np.hypot(down, across), (cell[0] - down, cell[1] - across)
         shortest = dijkstra(graph, directed=False, indices=number[tuple(first)])[number[tuple(last)]]
         assert cost == pytest.approx(shortest, abs=1e-6)
-        start, goal = space.centres(np.array([first, last]))
-        way = space.way(start, goal)
+        start, goal = grid.centres(np.array([first, last]))
+        way = grid.way(free, start, goal)
         lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
         assert np.array_equal(way[0], start) and np.array_equal(way[-1], goal)
         assert math.dist(start, goal) - 1e-9 <= lengths.sum() <= 0.1 * shortest + 1e-9
@@ -94,44 +90,43 @@ def test_a_way_is_as_short_as_dijkstras() -> None:
 
 
 def test_a_way_keeps_off_discs_and_goes_between_no_two_cells_that_meet_at_a_corner() -> None:
-    space = WalkingSpace(DIVIDED, REGION)
+    grid, free = walking_grid(scene_of(DIVIDED))
     start, goal, disc = (at(*place).position for place in ((1.0, 2.3), (3.2, 2.2), (2.1, 2.0)))
-    direct, around = space.way(start, goal), space.way(start, goal, [(disc, 0.9)])
+    direct, around = grid.way(free, start, goal), grid.way(free, start, goal, [(disc, 0.9)])
     assert len(direct) == 2
     ends = np.stack([around[:-1], around[1:]], axis=1)
     assert point_segment_distance(disc, ends).min() == pytest.approx(0.9, abs=0.15)
-    space = WalkingSpace(DIVIDED, REGION)
-    space.free[:] = False
-    space.free[10:13, 10:13] = space.free[13:16, 13:16] = True
-    corner = space.centres(np.array([[11, 11], [14, 14]]))
-    assert space.way(*corner) is None
+    assert grid.way(free, start, goal, [(start - [0.3, 0.0], 0.3)]) is not None  # from the edge of a disc
+    free[:] = False
+    free[10:13, 10:13] = free[13:16, 13:16] = True
+    assert grid.way(free, *grid.centres(np.array([[11, 11], [14, 14]]))) is None
 
 
 def test_a_place_in_a_wall_is_reached_at_the_nearest_free_one_and_a_closed_room_is_not() -> None:
-    space = WalkingSpace(DIVIDED, REGION)
+    grid, free = walking_grid(scene_of(DIVIDED))
     for place, is_free in (((3.7, 1.0), True), ((3.85, 1.0), False), ((-0.4, 1.0), False), ((2.0, 4.4), False)):
-        assert space.is_free(at(*place).position) == is_free
-    way = space.way(at(1.0, 3.0).position, at(4.1, 0.7).position)  # in the wall, nearer to the far room
+        assert grid.at(free, at(*place).position) == is_free
+    way = grid.way(free, at(1.0, 3.0).position, at(4.1, 0.7).position)  # in the wall, nearer to the far room
     assert way[-2][0] - CORNER[0] > 3.9 and len(way) > 2
-    closed = WalkingSpace(WALLED, REGION)
-    around = closed.around(at(1.0, 1.0).position)
+    closed, free = walking_grid(scene_of(WALLED))
+    around = closed.reachable(free, at(1.0, 1.0).position)
     assert around[:, :38].any() and not around[:, 40:].any()
-    assert closed.way(at(1.0, 1.0).position, at(6.0, 1.0).position) is None
-    assert [len(space.rooms(space.around(at(1.0, 1.0).position))), len(closed.rooms(around))] == [2, 1]
+    assert closed.way(free, at(1.0, 1.0).position, at(6.0, 1.0).position) is None
 
 
-def test_walks_that_cannot_be_are_refused_by_their_point() -> None:
-    check_walks([walk((1.0, 1.0), (3.0, 3.0)), walk((5.0, 1.0))], WALLED, REGION)
-    for points, said in (
-        (((1.0, 1.0), (5.0, 1.0)), r"walkers, entry 1, point 1: found no way from \(-1.3, 4.4\) to \(2.7, 4.4\)"),
-        (((1.0, 1.0), (3.87, 1.0)), r"walkers, entry 1, point 2: found \(1.57, 4.4\), in a wall"),
+def test_walks_that_cannot_be_are_refused_by_their_point(tmp_path: Path) -> None:
+    text = f"start = [-1.3, 4.4, 0.3]\nradius = 0.2\nwalls = {WALLED.reshape(-1, 4).tolist()}\n"
+    for walk_text, said in (
+        ("points = [[-1.3, 4.4], [2.7, 4.4]]", r"entry 1, point 2: found \(2.7, 4.4\), to which no way leads"),
+        ("points = [[-1.3, 4.4], [1.57, 4.4]]", r"entry 1, point 2: found \(1.57, 4.4\), in a wall"),
+        ("points = [[-1.3, 4.4], [1.0, 5.0]]\npauses = [2.0]", "entry 1, pauses: found 1, allowed: a time for each"),
+        ("points = [[-1.3, 4.4]]\nspeed = 3.5", "entry 1, speed: found 3.5"),
+        ("\n[[walkers]]\n".join(["points = [[-1.3, 4.4]]"] * 201), "walkers: found 201, allowed: at most 200"),
     ):
+        file = tmp_path / "walked.toml"
+        file.write_text(f"{text}[[walkers]]\n{walk_text}\n")
         with pytest.raises(InputError, match=said):
-            check_walks([walk(*points)], WALLED, REGION)
-    with pytest.raises(InputError, match="pauses: found 1, allowed: a time for each of the 2 way points"):
-        walk((1.0, 1.0), (3.0, 3.0), pauses=(2.0,))
-    with pytest.raises(InputError, match="walkers: found 201, allowed: at most 200"):
-        read_walks([{"points": [[2.0, 3.0]]}] * 201)
+            load_scene(file)
 
 
 def test_a_scripted_walk_has_its_speed_and_its_pause_at_each_point() -> None:
@@ -148,7 +143,7 @@ def test_a_scripted_walk_has_its_speed_and_its_pause_at_each_point() -> None:
     assert people.headings[0] == pytest.approx(people.headings[0]) and people.poses.shape == (1, 3)
 
 
-def test_people_from_room_to_room_have_speeds_and_pauses_of_a_range_and_begin_a_metre_apart() -> None:
+def test_people_have_speeds_and_pauses_of_a_range_and_begin_a_metre_apart() -> None:
     speeds, pauses, apart = [], [], []
     for seed in range(12):
         people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=4, seed=seed)
@@ -166,14 +161,13 @@ def test_people_from_room_to_room_have_speeds_and_pauses_of_a_range_and_begin_a_
         assert min(values) >= low and max(values) <= high + 0.3
 
 
-def test_someone_goes_to_another_room_each_time() -> None:
+def test_someone_goes_through_the_door_to_places_all_over() -> None:
     people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=1, seed=5)
-    found = tracks(people, 150.0)[:, 0]
+    found = tracks(people, 200.0)[:, 0]
     stands = (np.linalg.norm(np.diff(found, axis=0), axis=1) == 0.0).astype(int)
     begins = np.flatnonzero(np.diff(stands) == 1)
-    pauses = [k for k in begins if stands[k + 1 : k + 40].all()]
-    rooms = [bool(found[k, 0] > 4.0) for k in pauses]
-    assert len(rooms) > 6 and all(a != b for a, b in itertools.pairwise(rooms))
+    places = np.array([found[k] for k in begins if stands[k + 1 : k + 40].all()])
+    assert len(places) > 8 and np.ptp(places, axis=0).min() > 1.5 and 0.2 < (places[:, 0] > 4.0).mean() < 0.8
 
 
 def test_the_same_seed_gives_the_same_people_and_no_people_draw_nothing() -> None:
