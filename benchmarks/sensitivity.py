@@ -38,7 +38,7 @@ GROUPS = {
     "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph.LOSS"),
     "links": ("graph.LINKS", "graph.REACH_M", "graph.AGREEMENT"),
     "visibility": ("visibility._LEAST_JUDGED",),
-    "odometry": ("motion_source.WHEELS_M_PER_M", "motion_source._RAD_PER_RAD", "motion_source.UNSTEADY"),
+    "odometry": ("motion_source.UNSTEADY",),
     "slips": (
         "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._SLIPS", "tracking._TELLS_NOTHING",
         "tracking._NEWEST_SHARE",

@@ -211,7 +211,8 @@ def _too_many(word: str, given: Table, options: Sequence[Option]) -> InputError:
     siblings = [known for known in flags if known.rpartition(".")[0] == path]
     namesakes = [known for known in flags if known.endswith(f".{name.lstrip('-')}")]
     near = "" if within else " or ".join(namesakes) or nearest(flag, siblings or flags)
-    return InputError(shown_name(flag), "no such option", ", ".join(within or siblings), near)
+    allowed = within or siblings or [known for known in flags if "." not in known]
+    return InputError(shown_name(flag), "no such option", ", ".join(allowed), near)
 
 
 def is_of_part(word: str) -> bool:
