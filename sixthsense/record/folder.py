@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import os
 import shutil
@@ -107,7 +108,7 @@ class RunFolder:
     def finish(self) -> list[str]:
         """Rename the folder to `OUT`, replacing an existing run, and release it.
 
-        The old run is moved aside until the new one has its name, and back if it cannot have it. Files there that no
+        The old run and the new one exchange their names in one step, where the system can. Files of the old one that no
         run writes are kept in `OUT`; returns their names. Raises InputError if `OUT` has meanwhile become something
         that may not be replaced; the new run then stays in `OUT.partial`.
         """
@@ -115,24 +116,36 @@ class RunFolder:
             self._check_out()
         except InputError as error:
             raise InputError(error.where, error.found, f"{error.allowed}; the run is in {self.partial}") from None
-        old, kept = self._numbered(), []
-        has_old = os.path.lexists(self.out)
-        if has_old:
-            self.out.rename(old)
-        try:
+        kept: list[str] = []
+        if not os.path.lexists(self.out):
             self.partial.rename(self.out)
-        except BaseException:
-            if has_old:
-                old.rename(self.out)
-            raise
-        self._lock.folder = self.out
-        if has_old:
+        else:
+            old = self.partial if _exchanged(self.partial, self.out) else self._moved_aside()
             kept = sorted(entry.name for entry in old.iterdir() if entry.name not in _OWN)
             for name in kept:
                 (old / name).rename(self.out / name)
             shutil.rmtree(old, ignore_errors=True)
+        self._lock.folder = self.out
         self._lock.release()
         return kept
+
+    def _moved_aside(self) -> Path:
+        """Where the old run is, after it was moved aside for the new one, and back if that cannot have its name."""
+        old = self._numbered()
+        self.out.rename(old)
+        try:
+            self.partial.rename(self.out)
+        except BaseException:
+            old.rename(self.out)
+            raise
+        return old
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange the names of two folders in one step; False where the system cannot, as elsewhere than on Linux."""
+    rename = getattr(ctypes.CDLL(None), "renameat2", None)
+    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <stdio.h>
+    return rename is not None and rename(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
 
 
 def _is_just_made(folder: Path) -> bool:

@@ -184,6 +184,14 @@ def test_what_a_stopped_run_has_recorded_is_kept_under_another_name_and_the_user
         assert folder.notes == [] and seed_of(folder.partial) == 5
 
 
+def test_the_old_run_and_the_new_one_exchange_their_names_in_one_step(here, monkeypatch):
+    out = made(here / "x")
+    monkeypatch.setattr(Path, "rename", lambda path, target: pytest.fail(f"{path} is renamed to {target}"))
+    with RunFolder(out, Config(seed=2), overwrite=True) as folder:
+        folder.finish()
+    assert seed_of(out) == 2 and [path.name for path in here.iterdir()] == ["x"]
+
+
 def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, monkeypatch):
     rename = Path.rename
 
@@ -193,6 +201,7 @@ def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, mon
         return rename(path, target)
 
     with RunFolder(made(here / "x"), Config(seed=2), overwrite=True) as folder, monkeypatch.context() as patch:
+        patch.setattr("sixthsense.record.folder._exchanged", lambda one, other: False)
         patch.setattr(Path, "rename", failing)
         with pytest.raises(PermissionError):
             folder.finish()
