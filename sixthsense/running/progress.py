@@ -110,27 +110,18 @@ def area_of(trace: Trace, area_m2: float) -> str:
 
 
 def live_status(dropped: Mapping[str, int], seen_m2: Callable[[], float]) -> Callable[[Trace], str]:
-    """The status of a live run: sigmas of the pose, seen area, scans a second since the last call, dropped messages.
+    """The status of a live run: sigmas of the pose, seen area, number of dropped messages.
 
     `dropped` has the present numbers of dropped messages by reason; `seen_m2` gives the area of the map.
     """
-    before: tuple[float, int] | None = None  # time and number of scans at the last call
 
     def status(trace: Trace) -> str:
         from sixthsense.live.publishing import pose_covariance
 
-        nonlocal before
         cov = pose_covariance(trace)
         sigma_m, sigma_rad = np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]), np.sqrt(cov[2, 2])
-        now, last = (time.monotonic(), len(trace.stamps_ns)), before
-        before = now
-        parts = (
-            f"sigma {sigma_m:.2f} m {np.degrees(sigma_rad):.1f}°",
-            area_of(trace, seen_m2()),
-            "" if last is None else f"{(now[1] - last[1]) / (now[0] - last[0]):.1f} scans/s",
-            f"{sum(dropped.values())} dropped",
-        )
-        return ", ".join(part for part in parts if part)
+        sigmas = f"sigma {sigma_m:.2f} m {np.degrees(sigma_rad):.1f}°"
+        return ", ".join(filter(None, (sigmas, area_of(trace, seen_m2()), f"{sum(dropped.values())} dropped")))
 
     return status
 
