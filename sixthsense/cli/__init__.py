@@ -28,7 +28,7 @@ _GOOD_ENDS = (
 EXIT_CODES = dict.fromkeys(_GOOD_ENDS, DONE) | {"interrupted": INTERRUPTED}
 """exit codes of a run's outcomes; every other outcome is a failure of the robot"""
 
-EXIT_CODES_OF_MAPS = {"good": DONE, "doubtful": DOUBTFUL, "broken": BROKEN}
+EXIT_CODES_OF_MAPS = {"good": DONE, "unjudged": DONE, "doubtful": DOUBTFUL, "broken": BROKEN}
 """exit codes of a run that ends well, by the verdict on its map, where that is asked for"""
 
 COMMANDS = {

@@ -17,7 +17,7 @@ from sixthsense.cli.options import with_options as with_options
 from sixthsense.config import Config, load_config, preset, prior_map_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
-from sixthsense.config.parts import FRONT_ENDS, import_named
+from sixthsense.config.parts import import_named
 from sixthsense.config.section import shown
 from sixthsense.config.tree import applied, with_checked_parts
 from sixthsense.loop.interrupt import is_command_ended
@@ -198,12 +198,9 @@ def show_end(run: Run, options: Common) -> int:
     The places that an exploration has left unseen are listed with the metrics. If it is strict, a run whose map is
     doubtful or broken has an exit code of its own where it would have ended well.
     """
-    lines, left, front_end = dict(run.summary), run.trace.left, run.trace.config.front_end
+    lines, left = dict(run.summary), run.trace.left
     if options.verbose:
         print(run.metrics, *(f"left unseen: {_described(place)}" for place in left), "", sep="\n")
-    if front_end not in FRONT_ENDS.shipped:
-        fitted = "the verdict is fitted to shipped front ends, not to"
-        lines["not judged"] = f"{fitted} {front_end}: a return may count twice"
     if left:
         places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
         lines["left unseen"] = f"{places}, the largest {left[0].reason}{_behind(left[0])}; --verbose lists them"

@@ -38,7 +38,9 @@ def measure(trace: Trace) -> Metrics:
     out |= _relations(trace)
     out |= _evidence(trace)
     if trace.verdict is not None:
-        out["verdict"], out["map_wrong_probability"] = str(trace.verdict), trace.verdict.probability
+        out["verdict"] = str(trace.verdict)
+        if trace.verdict.probability is not None:
+            out["map_wrong_probability"] = trace.verdict.probability
     if trace.config.front_end == "landmarks":
         out["landmarks"] = len(trace.records)
     if trace.loop_closures is not None:

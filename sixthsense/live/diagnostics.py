@@ -15,9 +15,9 @@ from sixthsense.verdict.verdict import Level
 
 TOPIC = Topic("/diagnostics", DIAGNOSTICS, RELIABLE)
 NAME, HARDWARE = "sixthsense: map", "sixthsense"
-LEVELS: dict[Level, int] = {"good": 0, "doubtful": 1, "broken": 2}
+LEVELS: dict[Level, int] = {"good": 0, "unjudged": 0, "doubtful": 1, "broken": 2}
 """OK, WARN and ERROR of diagnostic_msgs/DiagnosticStatus"""
-PACES: dict[Level, float] = {"good": 1.0, "doubtful": 0.5, "broken": 0.0}
+PACES: dict[Level, float] = {"good": 1.0, "unjudged": 1.0, "doubtful": 0.5, "broken": 0.0}
 """share of its speed that a robot drives at by itself; at 0 it turns in place, to find its place"""
 KEYFRAMES = 200
 """that are judged while a run goes on: the last 50 m, in some 20 ms"""
@@ -41,7 +41,9 @@ def diagnostics(send: Callable[[bytes], object], pilot: Pilot) -> OnTick:
             judged, trace.live.verdict = count, judge(trace.witnesses(KEYFRAMES))
         verdict = trace.live.verdict
         pilot.pace = PACES[verdict.level]
-        values = {"probability that the map is wrong": f"{verdict.probability:.3g}", "cause": verdict.cause}
+        values = {"cause": verdict.cause}
+        if verdict.probability is not None:
+            values["probability that the map is wrong"] = f"{verdict.probability:.3g}"
         values |= {name: f"{value:.4g}" for name, value in verdict.evidence.items()}
         status = messages.status(LEVELS[verdict.level], NAME, f"map {verdict}", HARDWARE, values)
         send(messages.serialized(messages.diagnostics(tick.stamp_ns, [status]), DIAGNOSTICS))

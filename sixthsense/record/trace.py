@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.parts import FRONT_ENDS
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
@@ -323,6 +324,7 @@ class Trace:
             None if self.links is None or first else self.links.ends,
             matched if matched.any() else None,
             self.loop_closures,
+            "" if self.config.front_end in FRONT_ENDS.shipped else self.config.front_end,
         )
 
     def __repr__(self) -> str:

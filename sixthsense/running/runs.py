@@ -169,5 +169,5 @@ def _keep(folder: RunFolder, run: Run, say: Callable[[str], object]) -> None:
 
 def _map_title(run: Run) -> str:
     """The run's title, and below it what speaks against its map."""
-    is_good = run.verdict is None or run.verdict.level == "good"
+    is_good = run.verdict is None or run.verdict.level in ("good", "unjudged")
     return run.title if is_good else "\n".join([run.title, *textwrap.wrap(str(run.verdict), 110)])

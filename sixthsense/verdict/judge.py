@@ -17,15 +17,22 @@ from sixthsense.verdict.probability import (
     weights,
 )
 from sixthsense.verdict.verdict import Level, Verdict
-from sixthsense.verdict.views import FEWEST, THROUGH, TWICE
+from sixthsense.verdict.views import FEWEST, SURFACE, THROUGH, TWICE
 from sixthsense.verdict.witnesses import Witnesses
 
 DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
 """A map is doubtful if it is more likely wrong than right, and broken if it is at least nine times as likely."""
 
 
+_LEAST_TRAVEL_M = 2.0
+"""with a turn of a radian as half a metre: scans of one place do not contradict each other"""
+
+
 def judge(found: Witnesses) -> Verdict:
-    """Whether the map of a run is right, by what the run has left behind."""
+    """Whether the map of a run is right, by what the run has left behind.
+
+    A map that nothing speaks against is good if enough of its scans were compared with others; else it is not judged.
+    """
     evidence, model = evidence_of(found), weights()
     features = keyframe_features(evidence)
     keyframes = logistic(model["keyframes"], FEATURES, features)
@@ -33,8 +40,27 @@ def judge(found: Witnesses) -> Verdict:
     level: Level = "good"
     if probability >= DOUBTFUL_FROM:
         level = "broken" if probability >= BROKEN_FROM else "doubtful"
+    reason = _unjudged(evidence, found) if level == "good" else ""
+    if reason:
+        return Verdict("unjudged", None, keyframes, (), dict(_numbers(evidence)), reason)
     causes = () if level == "good" or not len(keyframes) else causes_of(evidence, found)
     return Verdict(level, probability, keyframes, causes, dict(_numbers(evidence)))
+
+
+def _unjudged(evidence: Evidence, found: Witnesses) -> str:
+    """Why nothing speaks for the map; empty if something does."""
+    if found.own_front_end:
+        return f"the verdict is fitted to shipped front ends, not to {found.own_front_end}"
+    if not any(scan is not None for scan in found.scans):
+        return "there are no scans that could contradict each other"
+    if not len(evidence.travel) or evidence.travel[-1] < _LEAST_TRAVEL_M:
+        return "the robot hardly moved, by its own odometry and scans"
+    if np.median(evidence.returns) < FEWEST:
+        return f"a scan has {np.median(evidence.returns):.0f} returns, {FEWEST} are needed"
+    compared = np.nansum([evidence.recent, evidence.old], axis=0)[:, [SURFACE, THROUGH]].sum(axis=1)
+    if np.mean(compared >= FEWEST) < 0.5:
+        return "few scans show what other scans have shown"
+    return ""
 
 
 def _numbers(evidence: Evidence) -> Iterator[tuple[str, float]]:

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from sixthsense.core.geometry import Array
 
-Level = Literal["good", "doubtful", "broken"]
+Level = Literal["good", "doubtful", "broken", "unjudged"]
 
 
 class Cause(NamedTuple):
@@ -30,15 +30,17 @@ class Verdict:
     """Whether a map is right."""
 
     level: Level
-    """`good`, `doubtful` or `broken`"""
-    probability: float
-    """that the map is wrong"""
+    """`good`, `doubtful` or `broken`; `unjudged` where nothing speaks for the map or against it"""
+    probability: float | None
+    """that the map is wrong; None if it is not judged"""
     keyframes: Array
     """(K,) that each keyframe's pose is off by more than 0.5 m or 10 degrees relative to those 10 m before it"""
     causes: tuple[Cause, ...]
     """the likeliest first; none where the evidence tells none"""
     evidence: Mapping[str, float]
     """what was found, by name; what is not known is left out"""
+    reason: str = ""
+    """why the map is not judged"""
 
     @property
     def cause(self) -> str:
@@ -46,10 +48,12 @@ class Verdict:
         return self.causes[0].name if self.causes else ""
 
     def __repr__(self) -> str:
+        if self.probability is None:
+            return f"<Verdict {self}>"
         return f"<Verdict {self}; the map is wrong with a probability of {self.probability:.2g}>"
 
     def __str__(self) -> str:
-        if self.level == "good":
-            return self.level
+        if self.level == "unjudged":
+            return f"not judged: {self.reason}"
         told = "; ".join(cause.sentence for cause in self.causes[:2])
         return f"{self.level}: {told}" if told else self.level

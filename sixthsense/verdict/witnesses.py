@@ -40,3 +40,5 @@ class Witnesses:
     """(K,) number of landmarks matched at each keyframe"""
     closures: LoopClosureCounts | None = None
     """what the search for old places has come to"""
+    own_front_end: str = ""
+    """name of a front end that is not shipped"""

@@ -184,7 +184,7 @@ class Drawing:
         """Send what speaks against the map, where it is to be seen; without a place of its own beside the robot."""
         verdict = trace.verdict if trace.live is None else trace.live.verdict
         places, labels = np.zeros((0, 2)), []
-        if verdict is not None and verdict.level != "good":
+        if verdict is not None and verdict.level in ("doubtful", "broken"):
             here = np.array(trace.estimates[-1])[:2]
             told = [(cause.places[0] if len(cause.places) else here, cause.sentence) for cause in verdict.causes]
             told = told or [(here, str(verdict))]

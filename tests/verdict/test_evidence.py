@@ -179,12 +179,32 @@ def test_a_scan_seen_in_a_mirror_is_itself_when_it_is_seen_in_one_again():
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 @pytest.mark.parametrize("has_wheels", [True, False])
-def test_a_run_of_a_few_keyframes_is_judged(count, has_wheels):
-    """As is one that has just begun, or has no scans."""
+def test_a_run_of_a_few_keyframes_is_not_judged(count, has_wheels):
     own = ticks()[: 9 * count : 9]
     poses = np.array([tick.odometry.array() for tick in own]).reshape(-1, 3)
     stamps = np.array([tick.stamp_ns for tick in own], dtype=np.int64)
     wheels, measured = poses if has_wheels else None, np.ones(count, dtype=np.bool_)
     for scans in (tuple(tick.scan for tick in own), ()):
         verdict = judge(Witnesses(stamps, poses, wheels, np.arange(count), poses, measured, scans))
-        assert verdict.level == "good" and len(verdict.keyframes) == count
+        assert verdict.level == "unjudged" and len(verdict.keyframes) == count
+        assert verdict.probability is None and verdict.reason in str(verdict)
+
+
+@pytest.mark.parametrize(("beams", "step_m", "reason"), [(5, 0.3, "returns"), (61, 0.02, "hardly moved")])
+def test_a_robot_that_stands_or_sees_little_is_not_judged_and_one_that_drives_and_sees_is_good(beams, step_m, reason):
+    def verdict(beams, step_m):
+        poses = np.array([[step_m * k, 0.1, 0.02] for k in range(12)])
+        scans = [wall(6.0 - step_m * k, beams) for k in range(12)]
+        stamps, measured = np.arange(12) * 500_000_000, np.ones(12, dtype=np.bool_)
+        return judge(Witnesses(stamps, poses, poses, np.arange(12), poses, measured, scans))
+
+    found = verdict(beams, step_m)
+    assert found.level == "unjudged" and reason in found.reason
+    assert verdict(61, 0.3).level == "good"
+
+
+def test_a_front_end_that_the_verdict_is_not_fitted_to_is_named():
+    poses, scans = np.array([[0.3 * k, 0.1, 0.02] for k in range(12)]), [wall(6.0 - 0.3 * k) for k in range(12)]
+    stamps, measured = np.arange(12) * 500_000_000, np.ones(12, dtype=np.bool_)
+    seen = Witnesses(stamps, poses, poses, np.arange(12), poses, measured, scans, own_front_end="lab.matcher:Matcher")
+    assert judge(seen).level == "unjudged" and "lab.matcher:Matcher" in str(judge(seen))
