@@ -26,7 +26,7 @@ from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import beams_of, cast_among, cast_rays
 from sixthsense.evaluation.coverage import visible_area
-from sixthsense.navigation.gridsearch import shortest_path
+from sixthsense.navigation.gridsearch import cheapest_path
 from sixthsense.simulation.scene import Scene, load_scene
 from sixthsense.slam.features import extract
 from sixthsense.slam.mapping.grid import Grid
@@ -196,6 +196,11 @@ def random_grid(seed: int, size: int) -> NDArray[np.bool_]:
     return blocked
 
 
+def cost_of(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W) costs of cells of which some are blocked."""
+    return np.where(blocked, np.inf, 1.0).astype(np.float32)
+
+
 def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures:
     """Corner-to-corner searches on the first random grids with a path, against the heap."""
     last = size - 1
@@ -205,7 +210,7 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
     seed = 0
     while len(solvable) < grids:
         blocked = random_grid(seed, size)
-        _, cost, count = shortest_path(blocked, (0, 0), (last, last))
+        _, cost, count = cheapest_path(cost_of(blocked), (0, 0), (last, last))
         seed += 1
         if math.isfinite(cost):
             solvable.append(blocked)
@@ -216,7 +221,7 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
             np.median(
                 alternate(
                     [blocked] * repeats,
-                    lambda blocked: shortest_path(blocked, (0, 0), (last, last)),
+                    lambda blocked: cheapest_path(cost_of(blocked), (0, 0), (last, last)),
                     lambda blocked: search_heapq(blocked, 0, blocked.size - 1),
                 ),
                 axis=0,

@@ -18,10 +18,8 @@ from worlds import occupied
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
-from sixthsense.navigation.gridsearch import Costs, costs_from, shortest_path
-from sixthsense.navigation.gridsearch.prices import STRAIGHT
-from sixthsense.navigation.viewpoints import Viewpoints
-from sixthsense.navigation.visibility import mark_visible
+from sixthsense.navigation.gridsearch import Links, cheapest_path, ways_from
+from sixthsense.navigation.visibility import mark_visible, nearest_view
 from sixthsense.simulation.mission import mission
 from sixthsense.simulation.scene import Scene, load_scene
 
@@ -49,7 +47,8 @@ def nearest_frontier_travel(config: Config, share: float, scene: Scene | None = 
     while view.share < share:
         known = passable & (view.seen | ~area.mask)
         known[here] = True
-        goal, wanted = view.nearest(costs_from(known.astype(np.uint8), *here))
+        cost, none = np.ones(known.shape, dtype=np.float32), np.zeros((0, 2), dtype=np.int64)
+        goal, wanted = view.nearest(ways_from(Links.of(known, 1), cost, here, none)[0])
         if goal is None:
             return math.nan
         cells, steps = _way(known, here, goal)
@@ -67,7 +66,7 @@ def nearest_frontier_travel(config: Config, share: float, scene: Scene | None = 
 
 def _way(passable: Mask, here: Cell, goal: Cell) -> tuple[NDArray[np.int64], Array]:
     """The cells (N, 2) of the shortest path, and the lengths (N,) until there, in cells."""
-    cells, _, _ = shortest_path(~passable, here, goal)
+    cells, _, _ = cheapest_path(np.where(passable, 1.0, np.inf).astype(np.float32), here, goal)
     return cells, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(cells, axis=0).T))])
 
 
@@ -88,18 +87,18 @@ class _View:
     def look(self, cell: Cell) -> None:
         mark_visible(self.seen, self._solid, self._area, *cell, self._reach)
 
-    def nearest(self, costs: Costs) -> tuple[Cell | None, Cell]:
+    def nearest(self, ways: NDArray[np.float32]) -> tuple[Cell | None, Cell]:
         """The cell to drive to, and the unseen cell beside seen ones that is visible from there."""
         frontier = np.argwhere(self._area & ~self.seen & ~self.given_up & binary_dilation(self.seen, np.ones((3, 3))))
-        reachable = costs >= 0
-        viewpoints = Viewpoints(reachable, self._solid, 0.95 * self._reach)
+        reachable = np.isfinite(ways)
+        viewpoints = np.where(reachable, np.arange(reachable.size).reshape(reachable.shape), -1)
         away, places = distance_transform_edt(~reachable, return_indices=True)
         if len(frontier):
             rows, cols = frontier.T
-            lengths = costs[places[0, rows, cols], places[1, rows, cols]] / STRAIGHT + away[rows, cols]
+            lengths = ways[places[0, rows, cols], places[1, rows, cols]] + away[rows, cols]
             for row, col in frontier[np.argsort(lengths, kind="stable")].tolist():
-                found = viewpoints.nearest((row, col))
-                if found is not None:
-                    return found, (row, col)
+                found = int(nearest_view(self._solid, viewpoints, 1, row, col, 0.95 * self._reach))
+                if found >= 0:
+                    return divmod(found, reachable.shape[1]), (row, col)
                 self.given_up[row, col] = True
         return None, (0, 0)

@@ -47,7 +47,7 @@ _GROUP_NOTES = {
     ],
     "Consistency": ["See [Consistency](../concepts/consistency.md) for their meaning and interpretation."],
     "Map and path": [
-        "Paths keep a [margin](../concepts/planning.md#clearance-and-margin) where there is room. Every command",
+        "Paths keep a [margin](../concepts/planning.md#clearance-and-cost) where there is room. Every command",
         "passes the [guard](../concepts/planning.md#the-guard).",
     ],
     "Time": [

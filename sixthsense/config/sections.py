@@ -273,7 +273,7 @@ class GridConfig(Section):
     no_return_passes: bool = True
     """A beam without a return passes all cells up to the maximum range; off where glass gives none."""
     clearance_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.05
-    """Added to the robot's radius when obstacles are inflated."""
+    """Kept from obstacles, beyond the robot's radius, where there is room; always by a robot without a guard."""
 
     @model_validator(mode="after")
     def _hits(self) -> Self:
@@ -288,8 +288,8 @@ class ExploreConfig(Section):
     return_home: bool = True
     """Drive back to the start when all is seen."""
     margin_m: NonNegative = 1.0
-    """How far outside the region the robot may drive, to get around a wall at its edge; up to the laser's range when
-    the only unseen area left continues beyond the region."""
+    """How far outside the region unseen cells count, where they continue unseen cells of the region; up to the laser's
+    range when nothing else is left to see."""
     loop_closure: bool = True
     """Drive back to a place where the pose was certain when it no longer is."""
 
@@ -320,6 +320,6 @@ class SafetyConfig(Section):
     """Paths keep a margin where there is room; the guard slows and stops the robot by its latest scan."""
 
     max_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
-    """Largest margin of a path beyond grid.clearance-m, however uncertain the pose; 0: no margin."""
+    """Largest margin beyond grid.clearance-m that paths are to keep, however uncertain the pose; 0: no margin."""
     guard: bool = True
     """Off: commands are not checked."""

@@ -166,7 +166,8 @@ def _draw(ax: Any, finished: Trace, trace: Trace, tick: Tick, plan: Array, tour:
     if live.scan is not None:
         shown["returns"] = pose @ live.scan.returns_robot
     if (region := _region(finished)) is not None:
-        shown["frontiers"] = frontier_points(grid.seen, grid.obstacles, grid.origin, cell_m, region)
+        outside_m = finished.config.explore.margin_m
+        shown["frontiers"] = frontier_points(grid, cell_m, region, outside_m, pose.position, trace.radius_m)
     if len(tour):
         shown["tour"] = np.vstack([pose.position, tour[1:]])
     if trace.truths:

@@ -265,7 +265,7 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     driven = np.array(trace.estimates).reshape(-1, 3)
     ax.plot(driven[:, 0], driven[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=4)
     ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
-    points = frontier_points(seen, grid.obstacles, grid.origin, cell_m, region)
+    points = frontier_points(grid, cell_m, region, trace.config.explore.margin_m, driven[-1, :2], trace.radius_m)
     if len(points):
         label = "frontiers not worth a view" if trace.outcome == "explored" else "remaining frontiers"
         ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label=label, zorder=6)

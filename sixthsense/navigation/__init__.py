@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,22 +34,16 @@ def make_navigator(
     from sixthsense.config.parts import PLANNERS
     from sixthsense.config.tree import part_of
     from sixthsense.navigation.exploration import Exploration
-    from sixthsense.navigation.exploration_task import ExplorationTask
-    from sixthsense.navigation.goal_navigator import goal_navigator
-    from sixthsense.navigation.navigator import Navigator
-    from sixthsense.navigation.path_planner import PathPlanner
+    from sixthsense.navigation.goals import Goals
+    from sixthsense.navigation.navigator import Navigator, Task
+    from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 
-    planner = part_of(config, PLANNERS).make(planner_rng)
+    paths = PathPlanner(part_of(config, PLANNERS).make(planner_rng), config)
+    map_ = DrivingMap(radius_m, config, knows_free=config.task == "explore")
     if config.task != "explore":
-        return goal_navigator(goals, planner, config)
+        task: Task = Goals(goals, config)
+        return Navigator(task, paths, map_, config, "tour ended" if config.task == "tour" else "out of time")
     x0, y0, x1, y1 = region
-    paths = PathPlanner(planner, config)
-    task = ExplorationTask(
-        home=start.position,
-        region=(min(x0, start.x), min(y0, start.y), max(x1, start.x), max(y1, start.y)),
-        radius_m=radius_m,
-        paths=paths,
-        config=config,
-        rng=exploration_rng,
-    )
-    return Navigator(functools.partial(Exploration, task), paths, "out of time")
+    region = min(x0, start.x), min(y0, start.y), max(x1, start.x), max(y1, start.y)
+    task = Exploration(start.position, region, radius_m, config, exploration_rng)
+    return Navigator(task, paths, map_, config, "out of time")

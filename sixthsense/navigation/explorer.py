@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.navigation.view_planner import Candidates, Target, ViewPlanner
-from sixthsense.navigation.visibility import mark_visible
+from sixthsense.navigation.frontier import Piece
+from sixthsense.navigation.gridsearch import Cell, Cells, ways_from
+from sixthsense.navigation.tour import stop_order
+from sixthsense.navigation.view_map import ViewMap
+from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
+
+_STOPS = 20  # so many views are visited by a tour, those with the shortest ways
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Unseen cells and the cell to see them from, row and col counted from the world's origin."""
+
+    cells: Cells
+    """(N, 2) unseen cells"""
+    viewpoint: Cell
+    """the cell to see them from"""
+    tour: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(K, 2) robot, stops and home of the tour that begins with it, world frame, m; empty for one of no tour"""
 
 
 class ExplorationView:
@@ -19,59 +38,79 @@ class ExplorationView:
     Masks are (H, W), [row = y, col = x], of cells of `cell_m`, and may not be written to.
     """
 
-    def __init__(self, planner: ViewPlanner, candidates: Candidates) -> None:
-        """Show the map of a view planner, and the frontiers that it has found."""
-        self.planner, self.candidates = planner, candidates
-        self.pose: Pose = planner.pose
+    def __init__(self, map_: ViewMap, pose: Pose, home: Array, reach: float) -> None:
+        """Show a map to a robot that sees as far as `reach`, in cells."""
+        self.map, self._reach = map_, reach
+        self.pose = pose
         """`T_world_robot`"""
-        self.home: Array = planner.home
+        self.home = home
         """(2,) where the robot drives in the end, world frame, m"""
-        self.cell_m: float = planner.view.cell_m
+        self.cell_m = map_.cell_m
         """side of a cell, m"""
-        self.free: Bools = planner.view.free
+        self.free: Bools = map_.free
         """(H, W) seen cells that are no obstacle"""
-        self.unseen: Bools = candidates.wanted
+        self.unseen: Bools = map_.wanted
         """(H, W) cells that are to be seen"""
-        self.reachable: Bools = planner.reachable
+        self.reachable: Bools = map_.reachable
         """(H, W) cells that the robot can drive to"""
+        self.pieces: list[Piece] = map_.pieces(map_.wanted)
+        """of the border between free and unseen cells"""
 
     @property
     def frontiers(self) -> list[Array]:
         """(N, 2) points of each piece of the border between free and unseen cells, world frame, m."""
-        return [self.points(cells) for cells in self.candidates.clusters]
+        return [self.points(piece.cells) for piece in self.pieces]
 
     def targets(self) -> list[Target]:
-        """A view of each piece of the border that can be seen from a reachable cell, and is worth a look."""
-        found = (self.planner.target_beside(self.candidates, cells) for cells in self.candidates.clusters)
-        return [target for target in found if target is not None]
+        """A view of each piece of the border that is in sight of a reachable cell, the nearest one to it."""
+        found = []
+        for piece in self.pieces:
+            viewpoint = self.map.view_of(piece, self.map.places, self._reach)
+            if viewpoint is not None:
+                found.append(self._target(piece.unseen, viewpoint))
+        return found
 
     def target_from(self, point: ArrayLike) -> Target | None:
         """The view of all unseen cells that are visible from a point (2,), world frame, m.
 
         None where nothing unseen is visible, or where the robot cannot drive to.
         """
-        view, row_col = self.planner.view, self.planner.view.cell(np.asarray(point, dtype=np.float64))
-        if not self.reachable[row_col]:
+        cell = self.map.cell(np.asarray(point, dtype=np.float64))
+        if not self.reachable[cell]:
             return None
-        visible = np.zeros_like(self.unseen)
-        mark_visible(visible, view.opaque, self.unseen, *row_col, self.planner.gain.sensor.reach)
-        cells = np.argwhere(visible)
-        return Target(cells + np.array(view.first), self.planner.key(row_col)) if len(cells) else None
+        cells = np.argwhere(visible_cells(self.map.obstacles, self.unseen, *cell, self._reach))
+        return self._target(cells, cell) if len(cells) else None
 
     def position(self, target: Target) -> Array:
         """(2,) the point that a target is seen from, world frame, m."""
-        return self.planner.view.point(*self.planner.local(target.viewpoint))
+        return np.asarray((np.array(target.viewpoint)[::-1] + 0.5) * self.cell_m)
 
     def points(self, cells: ArrayLike) -> Array:
         """(N, 2) centres of cells (N, 2), row and col of the masks, world frame, m."""
-        rows_cols = np.asarray(cells, dtype=np.float64).reshape(-1, 2)
-        return self.planner.view.point(0, 0) + self.cell_m * rows_cols[:, ::-1]
+        return self.map.points(np.asarray(cells).reshape(-1, 2))
 
     def ways_m(self, points: ArrayLike) -> Array:
         """(N,) lengths of the ways from the robot to points (N, 2), m; inf where no way leads."""
-        view, places = self.planner.view, np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        cells = np.array([view.cell(place) for place in places], dtype=np.int64).reshape(-1, 2)
-        return self.cell_m * self.planner.ways.lengths(view.cell(self.pose.position), cells)
+        places = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        cells = np.array([self.map.cell(place) for place in places], dtype=np.int64).reshape(-1, 2)
+        return self.map.lengths_m(cells)
+
+    def lengths(self, targets: list[Target]) -> Array:
+        """(N + 2, N + 2) lengths of ways between the robot, the viewpoints and home, in tiles; inf without a way."""
+        views = np.array([target.viewpoint for target in targets]) - self.map.first
+        stops = np.vstack([self.map.here, views, self.map.cell(self.home)]) // self.map.side
+        lengths, cost = np.zeros((len(stops), len(stops))), self.map.tile_cost(1.0)
+        for k in range(len(stops) - 1):
+            ways, _ = ways_from(self.map.links, cost, tuple(stops[k].tolist()), stops[k + 1 :])
+            lengths[k, k + 1 :] = ways[tuple(stops[k + 1 :].T)]
+        lengths += lengths.T
+        if not np.isfinite(lengths[-1]).all():
+            lengths[-1] = lengths[:, -1] = 0.0  # while no way home is known the tour is open
+        return lengths
+
+    def _target(self, cells: Cells, viewpoint: Cell) -> Target:
+        first = self.map.first
+        return Target(cells + first, (viewpoint[0] + first[0], viewpoint[1] + first[1]))
 
 
 class Explorer(Protocol):
@@ -100,8 +139,16 @@ class FrontierExplorer:
         """It draws nothing from `rng`."""
 
     def next_target(self, view: ExplorationView) -> Target | None:
-        """Choose the first stop of the tour; None if all that is visible together is not worth a way."""
-        return view.planner.best(view.candidates)
+        """Choose the first stop of the tour; None if nothing is in view of a reachable cell."""
+        targets = view.targets()
+        if not targets:
+            return None
+        ways = view.ways_m([view.position(target) for target in targets])
+        nearest: list[Target] = [targets[k] for k in np.argsort(ways, kind="stable")[:_STOPS]]
+        order = stop_order(view.lengths(nearest)) - 1
+        stops = [view.position(nearest[k]) for k in order]
+        first: Target = nearest[int(order[0])]
+        return replace(first, tour=np.vstack([view.pose.position, *stops, view.home]))
 
 
 class RandomExplorer:
@@ -112,8 +159,18 @@ class RandomExplorer:
         self._rng = rng
 
     def next_target(self, view: ExplorationView) -> Target | None:
-        """Choose a target near a random unseen cell."""
-        return view.planner.sample_random(view.candidates, self._rng)
+        """Choose a target near a random unseen cell, of the largest unseen area that any target is of."""
+        targets, first = view.targets(), np.array(view.map.first)
+        if not targets:
+            return None
+        areas, _ = ndimage.label(view.unseen)
+        sizes = np.bincount(areas.ravel())
+        of = [int(areas[tuple(target.cells[0] - first)]) for target in targets]
+        largest = max(of, key=lambda area: int(sizes[area]))
+        cells = np.argwhere(areas == largest) + first
+        drawn = cells[self._rng.integers(len(cells))]
+        found = [target for target, area in zip(targets, of, strict=True) if area == largest]
+        return min(found, key=lambda target: float(((target.cells - drawn) ** 2).sum(axis=1).min()))
 
 
 def target_fault(view: ExplorationView, target: Target | None) -> str:
@@ -122,12 +179,12 @@ def target_fault(view: ExplorationView, target: Target | None) -> str:
         return ""
     if not isinstance(target, Target):
         return f"found a {type(target).__name__}, allowed: a Target of the view, or None"
-    row, col = view.planner.local(target.viewpoint)
-    rows, cols = view.reachable.shape
-    if not (0 <= row < rows and 0 <= col < cols) or not view.reachable[row, col]:
+    first, shape = np.array(view.map.first), np.array(view.reachable.shape)
+    cell = np.array(target.viewpoint) - first
+    if (cell < 0).any() or (cell >= shape).any() or not view.reachable[tuple(cell)]:
         x, y = view.position(target)
         return f"found a viewpoint at ({x:.2f}, {y:.2f}), which the robot cannot drive to"
-    cells = np.asarray(target.cells).reshape(-1, 2) - np.array(view.planner.view.first)
-    inside = (cells >= 0).all(axis=1) & (cells < (rows, cols)).all(axis=1)
+    cells = np.asarray(target.cells).reshape(-1, 2) - first
+    inside = (cells >= 0).all(axis=1) & (cells < shape).all(axis=1)
     seen = len(cells) - int(np.count_nonzero(view.unseen[tuple(cells[inside].T)]))
     return f"found a target of {len(cells)} cells, {seen} of them seen" if seen or not len(cells) else ""

@@ -75,12 +75,17 @@ def latency_s(config: Config) -> float:
     return (config.laser.period_ticks + 1) * config.robot.control_period_s
 
 
-def sees_beside(radius_m: float, config: Config) -> bool:
-    """Whether no obstacle ahead of or beside the disc of a guarded robot, within its buffer, is between two beams."""
+def least_clearance_m(radius_m: float, config: Config) -> float:
+    """The distance, m, from obstacles to the centre of a disc below which a path may not lead.
+
+    It is the guard's own, if no obstacle ahead of or beside the disc, within its buffer, is between two beams. Other
+    robots keep the whole clearance.
+    """
     laser = config.laser
     spacing = abs(float(np.subtract(*beam_bearings(laser)[:2])))
     is_around = laser.fov >= math.pi and spacing * (radius_m + BUFFER_M) <= BUFFER_M
-    return config.safety.guard and is_around and config.grid.clearance_m > BUFFER_M
+    sees_beside = config.safety.guard and is_around
+    return radius_m + (BUFFER_M if sees_beside else max(config.grid.clearance_m, BUFFER_M))
 
 
 @numba.njit(cache=True, error_model="numpy")

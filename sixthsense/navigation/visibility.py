@@ -9,8 +9,9 @@ import math
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from sixthsense.slam.mapping.freespace import Bools, ahead, ray_from
+from sixthsense.slam.mapping.freespace import Bools
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -46,43 +47,29 @@ def line_of_sight(obstacles: Bools, row: int, col: int, to_row: int, to_col: int
 
 
 @numba.njit(cache=True, error_model="numpy")
-def expected_gain(
-    obstacles: Bools,
-    unseen: Bools,
-    row: int,
-    col: int,
-    rays: tuple[int, int],
-    reach: float,
-    depth: int,
-    enough: float = math.inf,
-) -> int:
-    """How many cells of `unseen` are crossed by evenly spaced rays from a cell's centre, each `reach` long.
+def nearest_view(obstacles: Bools, places: NDArray[np.int64], side: int, row: int, col: int, reach: float) -> int:
+    """The one of the `places` (R, C) that is nearest to a cell and in line of sight; -1 without one within `reach`.
 
-    A ray ends at an obstacle and after `depth` unseen cells: cells deep in unknown space are probably occluded. `rays`
-    are their number and the first one; those beside it follow, until more than `enough` cells are counted.
+    Places are flat indices of one cell in each tile of `side` cells, -1 in tiles without one. Tiles are searched in
+    squares about the cell, outwards until no place further out can be nearer.
     """
-    height, width = obstacles.shape
-    number, first = rays
-    span = int(reach) + 2
-    counted = np.zeros((2 * span + 1, 2 * span + 1), dtype=np.bool_)  # the surroundings of the cell
-    count = 0
-    for i in range(number):
-        angle = 2.0 * math.pi * ((first + ((i + 1) // 2 if i % 2 else -(i // 2))) % number) / number
-        ray = ray_from(col + 0.5, row + 0.5, math.cos(angle), math.sin(angle))
-        left = depth
-        while left > 0:
-            ray = ahead(ray)
-            r, c = ray.row, ray.col
-            if ray.gone > reach or not (0 <= r < height and 0 <= c < width) or obstacles[r, c]:
-                break
-            if unseen[r, c]:
-                left -= 1
-                if not counted[r - row + span, c - col + span]:
-                    counted[r - row + span, c - col + span] = True
-                    count += 1
-                    if count > enough:
-                        return count
-    return count
+    width = obstacles.shape[1]
+    rows, cols = places.shape
+    tile_row, tile_col = row // side, col // side
+    best, found = reach, -1
+    for ring in range(int(reach / side) + 2):
+        if (ring - 1) * side > best:
+            break
+        for r in range(max(tile_row - ring, 0), min(tile_row + ring + 1, rows)):
+            is_whole_row = abs(r - tile_row) == ring
+            for c in range(tile_col - ring, tile_col + ring + 1, 1 if is_whole_row or ring == 0 else 2 * ring):
+                if not 0 <= c < cols or places[r, c] < 0:
+                    continue
+                from_row, from_col = places[r, c] // width, places[r, c] % width
+                away = math.hypot(from_row - row, from_col - col)
+                if away < best and line_of_sight(obstacles, from_row, from_col, row, col):
+                    best, found = away, places[r, c]
+    return found
 
 
 def visible_cells(obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> Bools:

@@ -15,14 +15,11 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration import Exploration
-from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.explorer import ExplorationView, Explorer, target_fault
-from sixthsense.navigation.path_driver import DriveEvent
-from sixthsense.navigation.path_planner import PathPlanner
+from sixthsense.navigation.explorer import ExplorationView, Explorer, Target, target_fault
+from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.planners import Plan, Planner, make_planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.base import plan_fault
-from sixthsense.navigation.view_planner import Target
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
@@ -34,7 +31,6 @@ _CELL_M, _ORIGIN = 0.1, (-1.35, 0.25)
 _RADIUS_M, _ROOMS, _MOST_CHOICES = 0.17, (0.1, 0.2, 7.3, 3.4), 200
 _BETWEEN = np.array([[[3.9, 0.2], [3.9, 1.7]], [[3.9, 2.8], [3.9, 3.4]]])
 """the wall between two rooms, with a door of 1.1 m"""
-_EVENTS: tuple[DriveEvent, ...] = ("arrived", "turned around")
 
 
 def _space(seed: int, share: float = 0.25) -> tuple[FreeSpace, np.random.Generator]:
@@ -44,7 +40,8 @@ def _space(seed: int, share: float = 0.25) -> tuple[FreeSpace, np.random.Generat
     while blocked.mean() < share:
         row, col = rng.integers(0, 36), rng.integers(0, 48)
         blocked[row : row + rng.integers(1, 5), col : col + rng.integers(1, 5)] = True
-    return FreeSpace(blocked, np.ones_like(blocked), _ORIGIN, _CELL_M), rng
+    cost = np.where(blocked, np.inf, rng.choice([1.0, 1.0, 2.5], blocked.shape)).astype(np.float32)
+    return FreeSpace(blocked, np.ones_like(blocked), _ORIGIN, _CELL_M, cost), rng
 
 
 def _free(space: FreeSpace, rng: np.random.Generator) -> Array:
@@ -61,15 +58,14 @@ def _questions() -> Iterator[tuple[FreeSpace, Array, Array]]:
 
 
 @PLANNER_LAWS.law()
-def a_path_joins_start_and_goal_through_free_cells_at_the_length_it_says(part: Any) -> None:
+def a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(part: Any) -> None:
     planner: Planner = make_planner(part)
     for space, start, goal in _questions():
         plan = planner.plan(space, start, goal)
         fault = plan_fault(plan, space, start, goal)
         assert not fault, fault
         if plan.found:
-            length = float(np.linalg.norm(np.diff(plan.path_world, axis=0), axis=1).sum())
-            agree("cost", plan.cost, length, atol=1e-9)
+            agree("cost", plan.cost, space.path_cost(plan.path_world), atol=1e-9)
             assert not plan.path_world.flags.writeable, "found a path that may be written to, allowed: a read-only one"
 
 
@@ -79,8 +75,7 @@ def a_path_is_found_only_where_there_is_one_and_no_shorter_than_any(part: Any) -
     for space, start, goal in _questions():
         plan, shortest = planner.plan(space, start, goal), astar.plan(space, start, goal)
         assert shortest.found or not plan.found, "found a path where there is none"
-        # A* goes over centres of cells: a path through any points may be shorter by a little more than a tenth.
-        assert not plan.found or plan.cost >= math.dist(start, goal) - 1e-9
+        assert not plan.found or plan.length_m >= math.dist(start, goal) - 1e-9
         assert plan.status != "no path" or not shortest.found, "found no path where there is one, allowed: gave up"
 
 
@@ -164,24 +159,20 @@ def _explored(part: Any) -> tuple[list[_Choice], bool]:
         ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
         grid.add(pose, Scan.from_config(ranges, config.laser), np.zeros((0, 2, 2)))
 
-    see()
-    paths = PathPlanner(make_planner("astar"), config)
-    task = ExplorationTask(pose.position, _ROOMS, _RADIUS_M, paths, config, np.random.default_rng(4))
-    exploration = Exploration(task, grid, Estimate.of_pose(pose, np.zeros((3, 3))))
-    watched = _Watched(make_part(EXPLORERS, part, np.random.default_rng(7)))
+    exploration = Exploration(pose.position, _ROOMS, _RADIUS_M, config, np.random.default_rng(4))
+    watched, map_ = _Watched(make_part(EXPLORERS, part, np.random.default_rng(7))), DrivingMap(_RADIUS_M, config, True)
     exploration.explorer = watched
     for _ in range(_MOST_CHOICES):
-        exploration.look(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
-        if exploration.state != "viewing" or exploration.outcome is not None:
-            return watched.choices, True
-        x, y = exploration.driver.goal.tolist()
-        pose = Pose(x, y, 0.3)
         see()
+        map_.update(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
         chosen = len(watched.choices)
-        exploration.look(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
-        for event in _EVENTS:  # of a target that cannot be seen from there
-            if len(watched.choices) == chosen and exploration.outcome is None:
-                exploration.handle(event, pose)
+        goal = exploration.next(map_, pose, "looked")
+        if goal is not None and len(watched.choices) == chosen:
+            goal = exploration.next(map_, pose, "arrived")  # at a target that cannot be seen from there
+        if goal is None or exploration.state != "viewing":
+            return watched.choices, True
+        x, y = goal.position.tolist()
+        pose = Pose(x, y, 0.3)
     return watched.choices, False
 
 

@@ -170,7 +170,8 @@ class Drawing:
         self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
         if trace.config.task == "explore" and trace.scene is not None:
             region = trace.config.region or trace.scene.region
-            frontiers = frontier_points(grid.seen, grid.obstacles, grid.origin, cell_m, region)
+            outside_m, at = trace.config.explore.margin_m, np.array(trace.estimates[-1])[:2]
+            frontiers = frontier_points(grid, cell_m, region, outside_m, at, trace.radius_m)
             self._points("map/frontiers", frontiers, TRUTH, 1.5)
 
     def _landmarks(self, trace: Trace) -> None:

@@ -11,11 +11,10 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
-from sixthsense.navigation.goal_navigator import goal_navigator
+from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
-from sixthsense.navigation.planners import make_planner
 from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
 
@@ -26,7 +25,9 @@ HALL = np.array(
 
 
 def to_goal() -> Navigator:
-    return goal_navigator(np.array([[4.0, -1.0]]), make_planner("astar"), CONFIG)
+    rng = np.random.default_rng(0)
+    config = CONFIG.replaced(task="goal")
+    return make_navigator(config, Pose(), np.array([[4.0, -1.0]]), (0.0, 0.0, 1.0, 1.0), 0.2, rng, rng)
 
 
 def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_tick():

@@ -1,14 +1,11 @@
-import csv
-import json
 import math
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sixthsense import Run, cli, load, preset, run
+from sixthsense import Run, preset, run
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> str:
@@ -97,12 +94,14 @@ def test_places_behind_a_door_that_is_narrower_than_the_robot_are_left_and_named
     assert made.outcome == "explored in part" and made.metrics["collisions"] == 0
     assert {place.reason for place in made.trace.left} == {"unreachable"}
     assert all(4.0 < place.x < 4.6 for place in made.trace.left) and len(made.trace.left) == 2  # beside the door
+    gap_m = made.trace.left[0].gap_m
+    assert gap_m is not None and 0.25 <= gap_m <= 0.37  # the mean of a jamb's last cell is short of its end
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_door_that_only_the_clearance_closes_is_passed(seed: int, tmp_path: Path) -> None:
-    """The drawn cells of the door leave no room for the robot's inflation."""
-    made = explored(tmp_path, two_rooms(0.54), seed=seed)
+    """The door is 6 cm wider than the robot, which keeps 5 cm from obstacles on either side where there is room."""
+    made = explored(tmp_path, two_rooms(0.46), seed=seed)
     assert made.outcome == "explored"
     assert np.array(made.trace.truths)[:, 0].max() > 3.85  # its disc is in the door, at 4
     assert made.metrics["coverage"] >= 0.995
@@ -110,7 +109,7 @@ def test_a_door_that_only_the_clearance_closes_is_passed(seed: int, tmp_path: Pa
 
 
 def test_without_the_guard_no_robot_passes_a_door_that_the_clearance_closes(tmp_path: Path) -> None:
-    made = explored(tmp_path, two_rooms(0.54), safety={"guard": False})
+    made = explored(tmp_path, two_rooms(0.46), safety={"guard": False})
     assert made.outcome == "explored in part" and made.trace.left[0].reason == "cut off by inflation only"
 
 
@@ -122,14 +121,6 @@ def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path:
     for made in whole:
         assert math.dist(made.trace.final.pose.position, made.trace.key_truths[0][:2]) <= 0.1  # as it believes
     assert sum(made.metrics["home_error_m"] <= 0.2 for made in whole) >= 4
-
-
-def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
-    made = explored(tmp_path, two_rooms(0.3))
-    assert made.outcome == "explored in part"
-    left = made.trace.left[0]
-    assert left.reason == "unreachable" and left.x > 4.0
-    assert left.gap_m is not None and 0.25 <= left.gap_m <= 0.37  # the mean of a jamb's last cell is short of its end
 
 
 def test_a_scene_that_is_not_closed_is_explored_within_the_region_and_its_margin(tmp_path: Path) -> None:
@@ -182,53 +173,3 @@ def test_without_the_return_home_it_ends_away_from_the_start(tmp_path: Path) -> 
 
 def test_the_outcome_of_a_run_that_takes_too_long_is_out_of_time(tmp_path: Path) -> None:
     assert explored(tmp_path, PILLARS, max_time=3.0).outcome == "out of time"
-
-
-def test_the_command_explores_by_default_and_records_unseen_places(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("scene.toml").write_text(two_rooms(0.3))
-    assert cli.main(["run", "scene.toml", "--out", "run", "--features.landmarks", "both"]) == cli.DONE
-    out = capsys.readouterr().out
-    said = r"\nleft unseen +\d places?, \S+ m², the largest unreachable( behind a gap of \S+ m)?; --verbose "
-    assert re.search(said, out)
-    metrics = json.loads(Path("run/metrics.json").read_text())
-    assert metrics["outcome"] == "explored in part"
-    assert cli.main(["export", "run", "--csv"]) == cli.DONE
-    with Path("run/places_left.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == metrics["places_left"] >= 1
-    assert rows[0]["reason"] == "unreachable"
-    again = load("run").trace
-    assert [place.reason for place in again.left] == [row["reason"] for row in rows]
-
-
-BAD = {
-    "a start in a wall": (["--start", "0", "0", "0"], "start: found (0, 0)"),
-    "a goal in a wall": (["--goal", "4", "0.2"], "goal: found (4, 0.2)"),
-    "a goal outside the map": (["--goal", "40", "1"], "goal: found (40, 1), outside the region"),
-    "an empty region": (["--region", "1", "1", "0", "0"], "region"),
-    "an invalid margin": (["--explore.margin-m", "-2"], "--explore.margin-m: found -2"),
-    "an unknown explorer": (["--explorer", "best"], "--explorer: found 'best', allowed: frontier, random, MODULE:NAME"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_line(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("scene.toml").write_text(two_rooms(0.3))
-    options, complaint = BAD[name]
-    assert cli.main(["run", "scene.toml", "--out", "run", *options]) == cli.BAD_INPUT
-    error = capsys.readouterr().err
-    assert complaint in error and error.count("\n") == 1
-    assert not Path("run").exists() and not Path("run.partial").exists()
-
-
-def test_a_goal_in_a_room_that_cannot_be_reached_is_an_outcome(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("scene.toml").write_text(two_rooms(0.3))
-    assert cli.main(["run", "scene.toml", "--out", "run", "--goal", "6", "1.5", "--max-time", "200"]) == cli.FAILED
-    assert json.loads(Path("run/metrics.json").read_text())["outcome"] == "goal unreachable"

@@ -1,80 +1,93 @@
-import heapq
+"""The searches against Dijkstra's of another library, on cells of general costs."""
+
+import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.ndimage import label
-from test_planners import WORLDS
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
-from sixthsense.navigation.gridsearch import Reached, costs_from, far_from
+from sixthsense.navigation.gridsearch import Links, cheapest_path, ways_from
 
-Mask = NDArray[np.bool_]
+NONE = np.zeros((0, 2), dtype=np.int64)
 
 
-def scattered(seed: int, share: float, shape: tuple[int, int] = (23, 31)) -> Mask:
-    return np.random.default_rng(seed).random(shape) < share
+def reference(cost, right, up, source):
+    """(H, W) costs over links, of steps to eight neighbours; diagonal ones need all four links around."""
+    height, width = cost.shape
+    index = np.arange(height * width).reshape(height, width)
+    tails, heads, costs = [], [], []
+    for (dr, dc), linked in {
+        (0, 1): right[:, :-1], (1, 0): up[:-1],
+        (1, 1): right[:-1, :-1] & right[1:, :-1] & up[:-1, :-1] & up[:-1, 1:],
+    }.items():  # fmt: skip
+        a, b = np.s_[: height - dr, : width - dc], np.s_[dr:, dc:]
+        pairs = [(a, b)] if not (dr and dc) else [(a, b), (np.s_[: height - 1, 1:], np.s_[1:, : width - 1])]
+        for a, b in pairs:
+            tails.append(index[a][linked])
+            heads.append(index[b][linked])
+            costs.append(0.5 * math.hypot(dr, dc) * (cost[a] + cost[b])[linked])
+    edges = np.concatenate(costs), (np.concatenate(tails), np.concatenate(heads))
+    graph = coo_array(edges, shape=(height * width,) * 2).tocsr()
+    return dijkstra(graph, directed=False, indices=index[source]).reshape(height, width)
 
 
-def plain_costs(passable: Mask, blocked: Mask, row: int, col: int) -> NDArray[np.float64]:
-    """Dijkstra's search of the textbook; inf where no way leads."""
-    cost = np.full(passable.shape, np.inf)
-    cost[row, col] = 0.0
-    queue = [(0.0, row, col)]
-    while queue:
-        here, r, c = heapq.heappop(queue)
-        for dr, dc in ((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)):
-            p, q = r + dr, c + dc
-            if not (0 <= p < cost.shape[0] and 0 <= q < cost.shape[1] and passable[p, q]):
-                continue
-            if dr and dc and (blocked[r, q] or blocked[p, c]):
-                continue
-            there = here + (7 if dr and dc else 5)
-            if there < cost[p, q]:
-                cost[p, q] = there
-                heapq.heappush(queue, (there, p, q))
-    return cost
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_costs_of_free_cells_are_those_of_a_plain_search(seed: int) -> None:
-    passable = ~scattered(seed, 0.3)
-    passable[5, 7] = True
-    costs = costs_from(passable.astype(np.uint8), 5, 7)
-    assert np.array_equal(np.where(costs < 0, np.inf, costs), plain_costs(passable, ~passable, 5, 7))
-
-
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("reach", [0, 1, 4])
-def test_far_cells_are_beyond_a_square_around_every_marked_one(seed: int, reach: int) -> None:
+def world(seed):
     rng = np.random.default_rng(seed)
-    marked = rng.random((int(rng.integers(1, 30)), int(rng.integers(1, 40)))) < rng.choice([0.0, 0.01, 0.2])
-    near = ndimage.maximum_filter(marked, size=2 * reach + 1, mode="constant", cval=False)
-    assert np.array_equal(far_from(marked, reach), ~near)
+    cost = rng.choice(np.array([1.0, 1.0, 1.5, 6.0], np.float32), (23, 31))
+    cost[rng.random(cost.shape) < 0.3] = np.inf
+    return rng, cost
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_cells_reached_in_a_map_that_changes_are_those_of_a_search_from_scratch(seed: int) -> None:
-    rng, reached = np.random.default_rng(seed), Reached(np.zeros((128, 192), dtype=np.bool_))
-    passable = ~scattered(seed, 0.45, (128, 192))
-    part = slice(0, 128), slice(0, 192)
-    for _ in range(20):
-        reached.redraw(passable, ~passable, *part)
-        row, col = rng.permutation(np.argwhere(passable))[0].tolist()
-        before, changed = reached.cells.copy(), np.zeros((16, 24), dtype=np.bool_)
-        reached.search(~passable, row, col, changed)
-        assert np.array_equal(reached.cells, costs_from(passable.astype(np.uint8), row, col) >= 0)
-        assert np.array_equal((reached.cells != before).reshape(16, 8, 24, 8).any(axis=(1, 3)), changed)
-        top, left = int(rng.integers(120)), int(rng.integers(180))
-        part = slice(top, min(top + 30, 128)), slice(left, min(left + 20, 192))
-        passable[part] = rng.random(passable[part].shape) < 0.6
+@pytest.mark.parametrize("seed", range(12))
+def test_a_path_is_the_cheapest_and_cuts_no_corner(seed):
+    rng, cost = world(seed)
+    free = np.isfinite(cost)
+    start, goal = (tuple(cell) for cell in rng.permutation(np.argwhere(free))[:2].tolist())
+    costs = reference(np.where(free, cost, 1.0), *Links.of(free, 1), start)
+    cells, found, expanded = cheapest_path(cost, start, goal)
+    assert found == pytest.approx(costs[goal]) or (found == costs[goal] == np.inf and len(cells) == 0)
+    assert 0 < expanded <= np.isfinite(costs).sum()
+    if len(cells):
+        assert tuple(cells[0]) == start and tuple(cells[-1]) == goal
+        steps, total = np.diff(cells, axis=0), 0.0
+        assert (np.abs(steps).max(axis=1) == 1).all()
+        for (row, col), (down, across) in zip(cells[:-1], steps, strict=True):
+            assert free[row + down, col] and free[row, col + across]
+            total += 0.5 * math.hypot(down, across) * (cost[row, col] + cost[row + down, col + across])
+        assert total == pytest.approx(found)
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("world", WORLDS)
-def test_reached_cells_are_the_connected_ones(world, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    blocked = world(rng)
-    rooms, _ = label(~blocked)
-    row, col = rng.permutation(np.argwhere(~blocked))[0].tolist()
-    assert np.array_equal(costs_from((~blocked).astype(np.uint8), row, col) >= 0, rooms == rooms[row, col])
+@pytest.mark.parametrize("seed", range(8))
+def test_ways_over_tiles_are_the_cheapest_over_their_links(seed):
+    rng, cost = world(seed)
+    cost = np.where(np.isfinite(cost), cost, 1.0).astype(np.float32)
+    right, up = rng.random((2, *cost.shape)) < 0.75
+    right[:, -1] = up[-1] = False
+    costs, before = ways_from(Links(right, up), cost, (7, 11), NONE)
+    np.testing.assert_allclose(costs, reference(cost, right, up, (7, 11)), rtol=1e-5)
+    reached = np.argwhere(np.isfinite(costs) & (costs > 0.0))
+    for row, col in reached[::9]:
+        r, c = divmod(int(before[row * cost.shape[1] + col]), cost.shape[1])
+        step = 0.5 * math.hypot(row - r, col - c) * (cost[row, col] + cost[r, c])
+        assert costs[row, col] == pytest.approx(costs[r, c] + step, rel=1e-5)
+    wanted = reached[[3, 40]]
+    early, _ = ways_from(Links(right, up), cost, (7, 11), wanted)
+    assert (
+        np.array_equal(early[tuple(wanted.T)], costs[tuple(wanted.T)]) and np.isinf(early).sum() > np.isinf(costs).sum()
+    )
+
+
+@pytest.mark.parametrize("side", [1, 3, 4])
+def test_tiles_lead_to_each_other_where_passable_cells_meet_across_their_edge(side):
+    passable = np.random.default_rng(side).random((24, 36)) < 0.3
+    links = Links.of(passable, side)
+    for row, col in np.ndindex(*links.right.shape):
+        for found, (down, across) in ((links.right, (0, 1)), (links.up, (1, 0))):
+            a = [(r, c) for r in range(row * side, (row + 1) * side) for c in range(col * side, (col + 1) * side)]
+            meets = [
+                passable[r, c] and passable[r + down, c + across]
+                for r, c in a
+                if r + down < 24 and c + across < 36 and ((r + down) // side, (c + across) // side) != (row, col)
+            ]
+            assert found[row, col] == any(meets)

@@ -13,11 +13,10 @@ from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import recorded_drive
-from sixthsense.navigation.goal_navigator import goal_navigator
+from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import BUFFER_M, Guard, _limits, latency_s, stopping_distance
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
-from sixthsense.navigation.planners import make_planner
 from sixthsense.record.trace import Trace
 from sixthsense.simulation.scene import Scene
 from sixthsense.simulation.world import World
@@ -262,7 +261,9 @@ class SuddenWall(World):
 
 def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 0.0)) -> Trace:
     source = kind(HALL, Pose(), RADIUS, config, np.random.default_rng(config.seed))
-    navigator = goal_navigator(np.array([goal]), make_planner("astar"), config)
+    rng = np.random.default_rng(0)
+    config = merge(config, {"task": "goal"})
+    navigator = make_navigator(config, Pose(), np.array([goal]), (0.0, 0.0, 1.0, 1.0), 0.2, rng, rng)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
     recorded_drive(source, Pose(), Pilot(navigator, Guard(config, RADIUS)), trace)

@@ -8,7 +8,6 @@ from test_planners import CELL, WORLDS, assert_without_path, random_free_point, 
 
 from sixthsense.config import RRTStarConfig, preset
 from sixthsense.core.geometry import Array
-from sixthsense.core.random_streams import random_streams
 from sixthsense.loop.run import run
 from sixthsense.navigation.planners import make_planner, rrtstar
 from sixthsense.navigation.planners.base import Plan
@@ -91,15 +90,6 @@ def test_informed_samples_find_shorter_paths_than_uniform_ones_on_the_same_budge
     assert np.median(costs[:, 0]) < np.median(costs[:, 1])
 
 
-def test_a_fraction_of_the_samples_is_the_goal(monkeypatch: pytest.MonkeyPatch) -> None:
-    space = box()
-    start, goal = space.centre(20, 5), space.centre(20, 34)
-    # Only the goal is sampled, and the box lies before it.
-    assert plan_of(space, start, goal, iterations=3000).found
-    monkeypatch.setattr(rrtstar, "_GOAL_BIAS", 1.0)
-    assert plan_of(space, start, goal, iterations=3000).status == "gave up"
-
-
 def test_a_sample_extends_the_tree_by_no_more_than_the_range() -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
@@ -141,18 +131,6 @@ def test_an_end_on_the_edge_of_a_blocked_cell_is_left_by_way_of_its_centre() -> 
     plan = plan_of(space, edge, space.centre(1, 0), iterations=2000, range_m=CELL)
     assert plan.found and all(space.line_is_free(p, q) for p, q in pairwise(plan.path_world))
     assert (plan.path_world[0] == edge).all()
-
-
-def test_a_change_of_planner_leaves_the_noise_alone() -> None:
-    scans: dict[str, list[Array]] = {}
-    for planner in ("astar", "rrtstar"):
-        seen = scans[planner] = []
-        config = preset(scene="rectangle", planner=planner, max_time=0.3, rrtstar={"iterations": 50})
-        run(config, lambda tick, _, seen=seen: seen.append(tick.scan.ranges) if tick.scan is not None else None)
-    assert np.array_equal(scans["astar"][0], scans["rrtstar"][0])
-    world, planner = (np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2))
-    streams = random_streams(7)
-    assert [rng.random() for rng in streams[:2]] == [world.random(), planner.random()]
 
 
 def test_a_planner_draws_one_seed_from_its_stream_however_often_it_plans() -> None:

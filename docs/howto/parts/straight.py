@@ -21,4 +21,4 @@ class StraightLine:
                 return Plan.without_path(f"{name} blocked", expanded=0, seconds=0.0)
         if not space.line_is_free(start, goal):
             return Plan.without_path("gave up", expanded=0, seconds=0.0)
-        return Plan.along([start, goal], expanded=0, seconds=0.0)
+        return Plan.along(space, [start, goal], expanded=0, seconds=0.0)

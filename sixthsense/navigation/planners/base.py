@@ -26,7 +26,7 @@ class Plan:
     path_world: Array
     """(N, 2) metres, read-only: start, way points, goal, N at least 2; (0, 2) unless found"""
     cost: float
-    """length of the path, metres; inf unless found"""
+    """integral of the space's cost along the path, metres; inf unless found"""
     expanded: int
     """nodes expanded by this search (A*), or iterations (sampling planners)"""
     seconds: float
@@ -37,12 +37,17 @@ class Plan:
         """Whether there is a path."""
         return self.status == "found"
 
+    @property
+    def length_m(self) -> float:
+        """Length of the path, metres; inf unless found."""
+        return float(np.linalg.norm(np.diff(self.path_world, axis=0), axis=1).sum()) if self.found else math.inf
+
     @classmethod
-    def along(cls, path_world: Array, expanded: int, seconds: float) -> Plan:
-        """The plan of a path: (N, 2) way points in metres."""
+    def along(cls, space: FreeSpace, path_world: ArrayLike, expanded: int, seconds: float) -> Plan:
+        """The plan of a path through a space: (N, 2) way points in metres."""
         path = np.array(path_world, dtype=np.float64)
         path.flags.writeable = False
-        return cls("found", path, float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), expanded, seconds)
+        return cls("found", path, space.path_cost(path), expanded, seconds)
 
     @classmethod
     def without_path(cls, status: Status, expanded: int, seconds: float) -> Plan:
@@ -77,13 +82,13 @@ class Planner(Protocol):
 
     1. `path_world` begins exactly at `start` and ends exactly at `goal`; it is read-only and has at least two rows.
     2. No segment of it touches a blocked cell, not even at a corner.
-    3. `cost` is the length of `path_world` in metres.
-    4. Unknown cells are free: start and goal may lie outside `space`, which is then extended to cover them. The path
-       stays within it. No shorter path is lost, thanks to the free rim of `Grid.free_space`.
+    3. `cost` is the integral of the space's cost along `path_world`: its length in metres where all cells cost 1.
+    4. Unknown cells are free and cost 1: start and goal may lie outside `space`, which is then extended to cover them.
+       The path stays within it.
     5. Without a path, `status` says why, the path is (0, 2) and the cost inf: "start blocked" takes
        precedence over "goal blocked"; "no path": there is none; "gave up": none was found within the planner's budget.
     6. The same questions in the same order, with the same seed, give the same paths. The same question asked again
-       gives the same path. A planner may reuse its last search, as long as the path gets no longer by that.
+       gives the same path.
     7. A start or goal that does not have shape (2,), or is not finite, raises ValueError.
     """
 

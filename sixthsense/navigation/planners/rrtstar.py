@@ -10,15 +10,14 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from ompl import base, geometric, util
+from scipy import ndimage
 
 from sixthsense.config import RRTStarConfig
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.planners.base import Plan, joined_path, plan_with_blocked_end
 from sixthsense.slam.mapping.freespace import TOUCH, FreeSpace, as_point, line_touches
 
 _RANGE_M = 2.0  # longest extension of the tree per draw: about a room's half
-_GOAL_BIAS = 0.05  # share of draws, before there is a path, that are the goal itself; OMPL's default
 
 
 class RRTStar:
@@ -50,16 +49,15 @@ class RRTStar:
         elif space.line_is_free(first, last):
             between = np.array([first, last])
         else:
-            free = (~space.blocked).astype(np.uint8)
-            reached = costs_from(free, *space.cell_of(start_world)) >= 0
-            cells = np.flatnonzero(reached)
-            if not reached[space.cell_of(goal_world)]:
+            parts, _ = ndimage.label(~space.blocked)
+            cells = np.flatnonzero(parts == parts[space.cell_of(start_world)])
+            if parts[space.cell_of(goal_world)] != parts[space.cell_of(start_world)]:
                 return Plan.without_path("no path", 0, time.perf_counter() - began)
             between, iterations = self._solve(space, cells, first, last)
         if between is None:
             return Plan.without_path("gave up", iterations, time.perf_counter() - began)
         path_world = joined_path(start_world, between, goal_world)
-        return Plan.along(path_world, iterations, time.perf_counter() - began)
+        return Plan.along(space, path_world, iterations, time.perf_counter() - began)
 
     def _solve(self, space: FreeSpace, cells: NDArray[np.int64], first: Array, last: Array) -> tuple[Array | None, int]:
         """The way points (N, 2) from `first` to `last`, None if no path was found, and the number of iterations."""
@@ -88,7 +86,6 @@ class RRTStar:
         config = self._config
         planner = (geometric.InformedRRTstar if config.informed else geometric.RRTstar)(information)
         planner.setRange(_RANGE_M)
-        planner.setGoalBias(_GOAL_BIAS)
         planner.setProblemDefinition(problem)
         planner.setup()
         left = iter(range(config.iterations))

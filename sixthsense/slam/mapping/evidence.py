@@ -1,27 +1,57 @@
-"""Evidence per cell: how one scan's beams and walls are counted."""
+"""Evidence per cell: what is kept of each, in tiles that are allocated when a scan first touches them.
+
+So memory follows what was seen, not the box around it.
+"""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
-from sixthsense.slam.mapping.changes import SHIFT
+from sixthsense.slam.mapping.changes import MAX_CELLS, SHIFT, TILE, Box
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.tiles import ROW, Index, Places, slot
 
 Ints = NDArray[np.int32]
+Offsets = NDArray[np.int16]
+Index = NDArray[np.int32]
+"""(R, C) number of the tile in each square, -1 for none."""
+Field = Literal["hits", "passes", "seen", "obstacles", "down", "across"]
+
 SCANS_PER_STAMP = 126
 """scans that a stamp of one byte tells apart"""
-Offsets = NDArray[np.int16]
 MOST_RETURNS = 100
 """returns whose mean is kept of a cell; with more of them older ones count less"""
 OFFSET = 1 << 15
 """an offset within a cell is kept in steps of a cell divided by this"""
+
+
+class EvidenceRules(NamedTuple):
+    """When a cell is an obstacle."""
+
+    min_hits: int
+    """fewest hits of an obstacle"""
+    max_hits: int
+    """further hits are not counted"""
+    passes_per_hit: float
+    """with more passes per hit than this the cell is free again"""
+
+    @classmethod
+    def of(cls, config: GridConfig) -> EvidenceRules:
+        """Those of a configuration."""
+        return cls(config.min_hits, config.max_hits, config.passes_per_hit)
+
+
+def are_obstacles(hits: NDArray[Any], passes: NDArray[Any], rules: EvidenceRules | GridConfig) -> Bools:
+    """Which cells are obstacles by these counts, arrays of one shape."""
+    return np.asarray((hits >= rules.min_hits) & (passes <= rules.passes_per_hit * hits))
 
 
 class Cells(NamedTuple):
@@ -31,8 +61,6 @@ class Cells(NamedTuple):
     """scans that ended, or had a wall fitted, in the cell"""
     passes: Ints
     """scans that crossed the cell and did not hit it"""
-    cover: NDArray[Any]
-    """obstacles whose inflation covers the cell"""
     stamp: NDArray[np.uint8]
     """what the latest scan that reached the cell did to it; 0 if that was long ago"""
     seen: Bools
@@ -46,41 +74,126 @@ class Cells(NamedTuple):
     across: Offsets
     """the same of columns"""
 
-    @classmethod
-    def empty(cls, count: int, max_hits: int, most_cover: int) -> Cells:
-        """Cells without evidence, of types that hold so many hits, and so many obstacles that cover a cell."""
-        types = np.min_scalar_type(max_hits), np.int32, np.result_type(np.int16, np.min_scalar_type(-most_cover))
-        hits, passes, cover = (np.zeros(count, dtype=kind) for kind in types)
-        seen, obstacles = (np.zeros(count, dtype=np.bool_) for _ in range(2))
-        down, across = (np.zeros(count, dtype=np.int16) for _ in range(2))
-        stamp, returns = (np.zeros(count, dtype=np.uint8) for _ in range(2))
-        return cls(hits, passes, cover, stamp, seen, obstacles, returns, down, across)
 
-    def extend(self, count: int) -> None:
-        """Make room for more cells behind these, in place: a copy would double the memory of a large map."""
-        array: NDArray[Any]
-        for array in self:
-            array.resize(count, refcheck=False)  # no view of them outlives a call
+class Tiles:
+    """The evidence of all cells that were seen. Squares are places of tiles, row and column in the index."""
+
+    def __init__(self, rules: EvidenceRules) -> None:
+        """Begin without tiles and without an index."""
+        self.first = (0, 0)
+        """row, col of the first cell of the index, counted from the world's origin"""
+        self.index: Index = np.full((0, 0), -1, dtype=np.int32)
+        self.squares: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
+        """(T, 2) the square of each tile"""
+        kinds = (np.min_scalar_type(rules.max_hits), "i4", "u1", "?", "?", "u1", "i2", "i2")
+        self.cells = Cells(*(np.zeros(0, dtype=kind) for kind in kinds))
+        """of all tiles"""
+        self.rules = rules
+        """when a cell is an obstacle"""
+
+    def cover(self, box: Box) -> None:
+        """Extend the index to a box of cells."""
+        top, left = (math.floor(cell / TILE) for cell in (box.top, box.left))
+        bottom, right = (math.ceil(cell / TILE) for cell in (box.bottom, box.right))
+        if self.index.size:
+            old_top, old_left = self.first[0] // TILE, self.first[1] // TILE
+            top, left = min(top, old_top), min(left, old_left)
+            bottom, right = max(bottom, old_top + self.index.shape[0]), max(right, old_left + self.index.shape[1])
+        else:
+            old_top, old_left = top, left
+        if (bottom - top, right - left) == self.index.shape:
+            return
+        index = np.full((bottom - top, right - left), -1, dtype=np.int32)
+        self.squares = self.squares + np.array([old_top - top, old_left - left])
+        index[tuple(self.squares.T)] = np.arange(len(self.squares))
+        self.first, self.index = (top * TILE, left * TILE), index
+
+    def allocate(self, wanted: Bools) -> None:
+        """Allocate tiles in the squares (R, C) that are wanted and have none; InputError if these are too many."""
+        new = np.argwhere(wanted & (self.index < 0))
+        count = (len(self.squares) + len(new)) * TILE * TILE
+        if count > MAX_CELLS:
+            raise InputError("grid", f"found {count:,} cells that were seen", f"at most {MAX_CELLS:,} cells")
+        self.index[tuple(new.T)] = np.arange(len(self.squares), len(self.squares) + len(new))
+        self.squares = np.concatenate([self.squares, new])
+        if count > len(self.cells.hits):
+            room = max(count, len(self.cells.hits) // TILE**2 * 5 // 4 * TILE**2)
+            array: NDArray[Any]
+            for array in self.cells:
+                array.resize(room, refcheck=False)  # in place: a copy would double the memory of a large map
+
+    def slots(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(N,) where cells (N, 2), row, col from the world's origin, are in the arrays; they are given tiles."""
+        rows, cols = (cells - np.array(self.first)).T
+        wanted = np.zeros(self.index.shape, dtype=np.bool_)
+        wanted[rows >> SHIFT, cols >> SHIFT] = True
+        self.allocate(wanted)
+        tiles = self.index[rows >> SHIFT, cols >> SHIFT].astype(np.int64)
+        return np.asarray((tiles << (2 * SHIFT)) + ((rows & (TILE - 1)) << SHIFT) + (cols & (TILE - 1)))
+
+    def touched_by(self, boxes: Sequence[Box]) -> Bools:
+        """(R, C) the squares that boxes touch."""
+        height, width = self.index.shape
+        squares = np.zeros((height, width), dtype=np.bool_)
+        for box in boxes:
+            rows, cols = box.aligned(TILE).within(self.first, (TILE * height, TILE * width))
+            squares[rows.start >> SHIFT : rows.stop >> SHIFT, cols.start >> SHIFT : cols.stop >> SHIFT] = True
+        return squares
+
+    def erase(self, squares: Bools) -> None:
+        """Remove the evidence in squares (R, C)."""
+        tiles = self.index[squares & (self.index >= 0)]
+        for array in self.cells:
+            array.reshape(-1, TILE * TILE)[tiles] = 0
+
+    def mark_obstacles(self, squares: Bools) -> None:
+        """Mark the obstacles in squares (R, C) by their counts."""
+        tiles = self.index[squares & (self.index >= 0)]
+        arrays = self.cells.hits, self.cells.passes, self.cells.obstacles
+        hits, passes, obstacles = (array.reshape(-1, TILE * TILE) for array in arrays)
+        obstacles[tiles] = are_obstacles(hits[tiles], passes[tiles], self.rules)
+
+    def touched(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(N,) where the cells with evidence are in the arrays, and (N, 2) row, col from the world's origin, sorted."""
+        slots = np.flatnonzero((self.cells.hits > 0) | self.cells.seen)  # what is passed is seen
+        corners = self.squares[slots >> (2 * SHIFT)] * TILE + np.array(self.first)
+        cells = corners + np.stack([(slots >> SHIFT) & (TILE - 1), slots & (TILE - 1)], axis=1)
+        order = np.lexsort((cells[:, 1], cells[:, 0]))
+        return slots[order], cells[order]
+
+    def part(self, array: NDArray[Any], box: Box) -> NDArray[Any]:
+        """(H, W) what a flat array has of the cells in a box, 0 or False where there is no tile."""
+        part = np.zeros((box.bottom - box.top, box.right - box.left), dtype=array.dtype)
+        _copy(self.index, array, box.top - self.first[0], box.left - self.first[1], part)
+        return part
 
 
-class EvidenceRules(NamedTuple):
-    """When a cell is an obstacle."""
-
-    min_hits: int
-    """fewest hits of an obstacle"""
-    max_hits: int
-    """further hits are not counted"""
-    passes_per_hit: float
-    """with more passes per hit than this the cell is free again"""
+@numba.njit(cache=True, error_model="numpy")
+def slot(index: Index, row: int, col: int) -> int:
+    """Where the cell at a row and column of the index is in the flat arrays; its square must have a tile."""
+    tile = np.int64(index[row >> SHIFT, col >> SHIFT])
+    return int((tile << (2 * SHIFT)) + ((row & (TILE - 1)) << SHIFT) + (col & (TILE - 1)))
 
 
-def are_obstacles(hits: Ints, passes: Ints, config: GridConfig) -> Bools:
-    """Which cells are obstacles by these counts, arrays of one shape."""
-    return np.asarray((hits >= config.min_hits) & (passes <= config.passes_per_hit * hits))
+@numba.njit(cache=True, error_model="numpy")
+def _copy(index: Index, array: NDArray[Any], top: int, left: int, part: NDArray[Any]) -> None:
+    """Copy the cells of (H, W) `part` from the tiles; its first cell is at row `top` and column `left` of the index."""
+    height, width = part.shape
+    rows, cols = index.shape
+    for square_row in range(max(top >> SHIFT, 0), min(((top + height - 1) >> SHIFT) + 1, rows)):
+        for square_col in range(max(left >> SHIFT, 0), min(((left + width - 1) >> SHIFT) + 1, cols)):
+            tile = np.int64(index[square_row, square_col])
+            if tile < 0:
+                continue
+            first_row, first_col = (square_row << SHIFT) - top, (square_col << SHIFT) - left
+            for row in range(max(first_row, 0), min(first_row + TILE, height)):
+                begin = (tile << (2 * SHIFT)) + ((row - first_row) << SHIFT) - first_col
+                for col in range(max(first_col, 0), min(first_col + TILE, width)):
+                    part[row, col] = array[begin + col]
 
 
 class ScanCells(NamedTuple):
-    """The cells (row, col from the first of the index) that one scan touches."""
+    """The cells (row, col in the index) that one scan touches."""
 
     laser: NDArray[np.int64]
     """(2,) cell of the laser"""
@@ -97,65 +210,51 @@ class ScanCells(NamedTuple):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def line_places(r0: int, c0: int, r1: int, c1: int) -> Places:
-    """(N,) places of Bresenham's line from the cell (r0, c0) to (r1, c1), both ends included."""
+def line_cells(r0: int, c0: int, r1: int, c1: int) -> NDArray[np.int64]:
+    """(N, 2) cells of Bresenham's line from (r0, c0) to (r1, c1), both ends included."""
     down, across = abs(r1 - r0), abs(c1 - c0)
-    row_step, col_step = ROW if r1 > r0 else -ROW, 1 if c1 > c0 else -1
-    major, minor, major_step, minor_step = across, down, col_step, row_step
-    if down > across:
-        major, minor, major_step, minor_step = down, across, row_step, col_step
-    places = np.empty(major + 1, dtype=np.int64)
-    place, error = r0 * ROW + c0, major // 2
+    row_step, col_step = 1 if r1 > r0 else -1, 1 if c1 > c0 else -1
+    is_steep = down > across
+    major, minor = (down, across) if is_steep else (across, down)
+    cells = np.empty((major + 1, 2), dtype=np.int64)
+    row, col, error = r0, c0, major // 2
     for k in range(major + 1):
-        places[k] = place
-        place += major_step
+        cells[k, 0], cells[k, 1] = row, col
         error -= minor
-        if error < 0:
-            place += minor_step
+        is_diagonal = error < 0
+        if is_diagonal:
             error += major
-    return places
+        row += row_step * (is_steep or is_diagonal)
+        col += col_step * (not is_steep or is_diagonal)
+    return cells
 
 
 @numba.njit(cache=True, error_model="numpy")
-def touched_squares(scan: ScanCells, reach: int, first: tuple[int, int], squares: Bools) -> None:
-    """Mark the squares (R, C) that a scan passes, or that obstacles of it cover with a disc of `reach`.
-
-    `squares` begins at the square `first` of the index.
-    """
-    laser, ends, walls = scan.laser, scan.ends, scan.walls
-    for i in range(len(ends)):
-        line = line_places(laser[0], laser[1], ends[i, 0], ends[i, 1])
-        for place in line:
-            squares[(place >> (32 + SHIFT)) - first[0], ((place & 0xFFFFFFFF) >> SHIFT) - first[1]] = True
-        if scan.returned[i]:
-            _mark_around(squares, ends[i, 0] - (first[0] << SHIFT), ends[i, 1] - (first[1] << SHIFT), reach)
-    for j in range(0, len(walls), 2):
-        for place in line_places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
-            row, col = (place >> 32) - (first[0] << SHIFT), (place & 0xFFFFFFFF) - (first[1] << SHIFT)
-            _mark_around(squares, row, col, reach)
+def touched_squares(scan: ScanCells, squares: Bools) -> None:
+    """Mark the squares (R, C) of the cells that a scan touches."""
+    for i in range(len(scan.ends)):
+        _mark_line(scan.laser, scan.ends[i], squares)
+    for j in range(0, len(scan.walls), 2):
+        _mark_line(scan.walls[j], scan.walls[j + 1], squares)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mark_around(squares: Bools, row: int, col: int, reach: int) -> None:
-    for r in range((row - reach) >> SHIFT, ((row + reach) >> SHIFT) + 1):
-        for c in range((col - reach) >> SHIFT, ((col + reach) >> SHIFT) + 1):
-            squares[r, c] = True
+def _mark_line(first: NDArray[np.int64], last: NDArray[np.int64], squares: Bools) -> None:
+    line = line_cells(first[0], first[1], last[0], last[1])
+    for k in range(len(line)):
+        squares[line[k, 0] >> SHIFT, line[k, 1] >> SHIFT] = True
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _hit(cells: Cells, index: Index, place: int, mark: int, stencil: Places, rules: EvidenceRules) -> None:
-    """Count a hit, once per scan, and inflate the cell if that makes it an obstacle."""
-    cell = slot(index, place)
+def _hit(cells: Cells, cell: int, mark: int, rules: EvidenceRules) -> None:
+    """Count a hit, once per scan."""
     if cells.stamp[cell] == mark:
         return
     cells.stamp[cell] = mark
     cells.hits[cell] = min(cells.hits[cell] + 1, rules.max_hits)
     # However long a cell has been free: a robot that sees an obstacle there now must not run into it.
     cells.passes[cell] = min(cells.passes[cell], int(rules.passes_per_hit * cells.hits[cell]))
-    if not cells.obstacles[cell] and cells.hits[cell] >= rules.min_hits:
-        cells.obstacles[cell] = True
-        for offset in stencil:
-            cells.cover[slot(index, place + offset)] += 1
+    cells.obstacles[cell] = cells.hits[cell] >= rules.min_hits
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -181,31 +280,32 @@ def _nearest_on_wall(wall: Array, row: int, col: int) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil: Places, rules: EvidenceRules) -> None:
-    """Count one scan in the tiles of `index`; `stencil` (K,) are offsets of places.
+def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, rules: EvidenceRules) -> None:
+    """Count one scan in the tiles of `index`.
 
     `number` is that of the scan, 1 to `SCANS_PER_STAMP`, and not that of another one since stamps were 0.
     """
     laser, ends, returned, walls = scan.laser, scan.ends, scan.returned, scan.walls
     passed, hit = 2 * number, 2 * number + 1  # stamps of this scan
     for i in range(len(ends)):
-        place = ends[i, 0] * ROW + ends[i, 1]
-        cells.seen[slot(index, place)] = True
+        cell = slot(index, ends[i, 0], ends[i, 1])
+        cells.seen[cell] = True
         if returned[i]:
-            _hit(cells, index, place, hit, stencil, rules)
+            _hit(cells, cell, hit, rules)
             down, across = scan.end_points[i, 0] - ends[i, 0], scan.end_points[i, 1] - ends[i, 1]
-            _add_return(cells, slot(index, place), down, across)
+            _add_return(cells, cell, down, across)
     for j in range(0, len(walls), 2):
-        for place in line_places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
-            _hit(cells, index, place, hit, stencil, rules)
-            cell = slot(index, place)
+        line = line_cells(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1])
+        for k in range(len(line)):
+            cell = slot(index, line[k, 0], line[k, 1])
+            _hit(cells, cell, hit, rules)
             if cells.returns[cell] == 0:
-                down, across = _nearest_on_wall(scan.wall_points[j : j + 2], place >> 32, place & 0xFFFFFFFF)
+                down, across = _nearest_on_wall(scan.wall_points[j : j + 2], line[k, 0], line[k, 1])
                 cells.down[cell], cells.across[cell] = round(OFFSET * down), round(OFFSET * across)
     for i in range(len(ends)):
-        line = line_places(laser[0], laser[1], ends[i, 0], ends[i, 1])
-        for place in line[: len(line) - 1] if returned[i] else line:
-            cell = slot(index, place)
+        line = line_cells(laser[0], laser[1], ends[i, 0], ends[i, 1])
+        for k in range(len(line) - 1 if returned[i] else len(line)):
+            cell = slot(index, line[k, 0], line[k, 1])
             if cells.stamp[cell] == passed:
                 continue
             cells.seen[cell] = True
@@ -213,7 +313,5 @@ def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil
                 continue
             cells.stamp[cell] = passed
             cells.passes[cell] += 1
-            if cells.obstacles[cell] and cells.passes[cell] > rules.passes_per_hit * cells.hits[cell]:
+            if cells.passes[cell] > rules.passes_per_hit * cells.hits[cell]:
                 cells.obstacles[cell] = False
-                for offset in stencil:
-                    cells.cover[slot(index, place + offset)] -= 1

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -17,6 +18,7 @@ TOUCH = 1e-9
 """Tolerance of geometric tests, in cells: a corner that is just touched counts as touched."""
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 
 
 def as_point(name: str, value: ArrayLike) -> Array:
@@ -29,53 +31,37 @@ def as_point(name: str, value: ArrayLike) -> Array:
     return point
 
 
-class Ellipse(NamedTuple):
-    """Where paths of a bounded length between two points lie."""
-
-    a: Array
-    """(2,) world frame, metres"""
-    b: Array
-    """(2,) likewise"""
-    length_m: float
-    """of the longest path"""
-
-    def rows_and_cols(self, shape: tuple[int, ...], origin: tuple[float, float], cell_m: float) -> tuple[slice, slice]:
-        """The rows and columns that hold it, of cells (H, W) whose lower left corner is `origin`."""
-        middle = (0.5 * (self.a + self.b) - origin) / cell_m
-        reach = 0.5 * self.length_m / cell_m + 2.0
-        low, high = (
-            np.clip(np.nan_to_num(end), 0, shape[::-1]).astype(int) for end in (middle - reach, middle + reach)
-        )
-        return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-
-    def block_beyond(self, blocked: Bools, origin: tuple[float, float], cell_m: float) -> None:
-        """Block the cells of (H, W) `blocked` outside it; the lower left corner of the cells is `origin`."""
-        rows, cols = self.rows_and_cols(blocked.shape, origin, cell_m)
-        inside = blocked[rows, cols].copy()
-        (ax, ay), (bx, by) = (((point - origin) / cell_m).tolist() for point in (self.a, self.b))
-        _block_beyond(inside, (rows.start, cols.start), (ax, ay, bx, by), self.length_m / cell_m + 2.0)
-        blocked.fill(True)
-        blocked[rows, cols] = inside
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeSpace:
-    """A snapshot of the cells where the robot's centre may be; cells outside it are unknown, and unknown is free."""
+    """A snapshot of the cells where the robot's centre may be, and of what a way through them costs.
+
+    Cells outside it are unknown, and unknown is free. All arrays are read-only.
+    """
 
     blocked: Bools
-    """(H, W), read-only: a robot at the cell's centre would touch an obstacle"""
+    """(H, W) the robot would be too near to an obstacle, wherever it is in the cell"""
     seen: Bools
-    """(H, W), read-only: a beam has crossed the cell"""
+    """(H, W) a beam has crossed the cell"""
     origin: tuple[float, float]
     """world x, y of the lower left corner of cell (0, 0), metres"""
     cell_m: float
     """side of a cell, metres"""
+    cost: Floats = field(default_factory=lambda: np.zeros((0, 0), dtype=np.float32))
+    """(H, W) of a metre of way, at least 1, and inf where it is blocked; by default 1 wherever it is free"""
+    offsets: Floats = field(default_factory=lambda: np.zeros((0, 0, 2), dtype=np.float32))
+    """(H, W, 2) row and col, in cells, from a cell's centre to where a way leads through it; 0 but in narrow gaps"""
 
     def __post_init__(self) -> None:
-        for name in ("blocked", "seen"):
-            array = frozen(getattr(self, name))
-            if array.ndim != 2 or array.shape != np.shape(self.blocked):
-                raise ValueError(f"{name}: expected shape (H, W) alike in blocked and seen, got {array.shape}")
+        shape = np.shape(self.blocked)
+        if not self.cost.size:
+            object.__setattr__(self, "cost", np.where(self.blocked, np.inf, 1.0).astype(np.float32))
+        if not self.offsets.size:
+            object.__setattr__(self, "offsets", np.zeros((*shape, 2), dtype=np.float32))
+        kinds = {"blocked": np.bool_, "seen": np.bool_, "cost": np.float32, "offsets": np.float32}
+        for name, kind in kinds.items():
+            array = frozen(getattr(self, name), kind)
+            if len(shape) != 2 or array.shape[:2] != shape:
+                raise ValueError(f"{name}: expected shape (H, W) alike in all arrays, got {array.shape}")
             object.__setattr__(self, name, array)
 
     def cell_of(self, point_world: ArrayLike) -> tuple[int, int]:
@@ -108,17 +94,14 @@ class FreeSpace:
         x1, y1 = self._in_cells("b", b_world)
         return not bool(line_touches(self.blocked, x0, y0, x1, y1))
 
+    def path_cost(self, path_world: Array) -> float:
+        """The integral of the cost along (N, 2) way points, metres."""
+        ends = self.in_cells(path_world).tolist()
+        return self.cell_m * sum(line_cost(self.cost, *a, *b) for a, b in itertools.pairwise(ends))
+
     def in_cells(self, points_world: Array) -> Array:
         """The points (..., 2) in cells from the grid's corner, x and y."""
         return np.asarray((points_world - np.array(self.origin)) / self.cell_m)
-
-    def window(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Bools:
-        """(R, C) whether the cells of these rows and columns are blocked; those outside the grid are not."""
-        height, width = self.blocked.shape
-        inside_rows, inside_cols = (rows >= 0) & (rows < height), (cols >= 0) & (cols < width)
-        blocked = np.zeros((len(rows), len(cols)), dtype=np.bool_)
-        blocked[np.ix_(inside_rows, inside_cols)] = self.blocked[np.ix_(rows[inside_rows], cols[inside_cols])]
-        return blocked
 
     def nearest_free(self, point_world: ArrayLike, within_m: float) -> Array | None:
         """The point itself if free, else the nearest free cell's centre at most `within_m` away, else None."""
@@ -128,8 +111,10 @@ class FreeSpace:
         height, width = self.blocked.shape
         row, col = self.cell_of(point)
         reach = math.ceil(min(within_m / self.cell_m, max(height, width))) + 1
-        rows, cols = np.arange(row - reach, row + reach + 1), np.arange(col - reach, col + reach + 1)
-        blocked = self.window(rows, cols)
+        rows, cols = (np.arange(k - reach, k + reach + 1) for k in (row, col))
+        blocked = np.zeros((len(rows), len(cols)), dtype=np.bool_)
+        inside = np.ix_((rows >= 0) & (rows < height), (cols >= 0) & (cols < width))
+        blocked[inside] = self.blocked[max(row - reach, 0) : row + reach + 1, max(col - reach, 0) : col + reach + 1]
         x = self.origin[0] + (cols + 0.5) * self.cell_m - point[0]
         y = self.origin[1] + (rows + 0.5) * self.cell_m - point[1]
         distance = np.where(blocked, np.inf, np.hypot(x[None, :], y[:, None]))
@@ -149,18 +134,15 @@ class FreeSpace:
         if self.blocked.size:
             low, high = np.minimum(low, 0.0), np.maximum(high, self.blocked.shape)
         (row, col), (height, width) = cell_box(low, high)
-        blocked, seen = (np.zeros((height, width), dtype=np.bool_) for _ in range(2))
         place = slice(-row, -row + self.blocked.shape[0]), slice(-col, -col + self.blocked.shape[1])
-        if self.blocked.size:
-            blocked[place], seen[place] = self.blocked, self.seen
         origin = self.origin[0] + col * self.cell_m, self.origin[1] + row * self.cell_m
-        return FreeSpace(blocked, seen, origin, self.cell_m)
-
-    def between(self, within: Ellipse) -> FreeSpace:
-        """The same with all cells blocked outside an ellipse."""
-        blocked = self.blocked.copy()
-        within.block_beyond(blocked, self.origin, self.cell_m)
-        return FreeSpace(blocked, self.seen, self.origin, self.cell_m)
+        arrays = []
+        for array in (self.blocked, self.seen, self.cost, self.offsets):
+            larger = np.full((height, width, *array.shape[2:]), array is self.cost, dtype=array.dtype)
+            larger[place] = array
+            arrays.append(larger)
+        blocked, seen, cost, offsets = arrays
+        return FreeSpace(blocked, seen, origin, self.cell_m, cost, offsets)
 
     def _in_cells(self, name: str, point_world: ArrayLike) -> tuple[float, float]:
         """X and y of a point in cells from the grid's corner."""
@@ -168,32 +150,13 @@ class FreeSpace:
         return float((x - self.origin[0]) / self.cell_m), float((y - self.origin[1]) / self.cell_m)
 
 
-def frozen(mask: Bools) -> Bools:
-    """The mask as a read-only one: a copy, unless nobody else can write to it."""
-    if isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.base is None and not mask.flags.writeable:
-        return mask
-    array = np.array(mask, dtype=np.bool_)
-    array.flags.writeable = False
-    return array
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _block_beyond(
-    blocked: Bools, first: tuple[int, int], ends: tuple[float, float, float, float], length: float
-) -> None:
-    """Block the cells whose centres' distances from two points, `ends`, add up to more than `length`; all in cells.
-
-    `first` is the row and column of the first of the cells.
-    """
-    ax, ay, bx, by = ends
-    height, width = blocked.shape
-    for row in range(height):
-        down_a, down_b = row + first[0] + 0.5 - ay, row + first[0] + 0.5 - by
-        for col in range(width):
-            if not blocked[row, col]:
-                x = col + first[1] + 0.5
-                far = math.sqrt(down_a * down_a + (x - ax) ** 2) + math.sqrt(down_b * down_b + (x - bx) ** 2)
-                blocked[row, col] = far > length
+def frozen(array: NDArray[Any], kind: type) -> NDArray[Any]:
+    """The array as a read-only one: a copy, unless nobody else can write to it."""
+    if isinstance(array, np.ndarray) and array.dtype == kind and array.base is None and not array.flags.writeable:
+        return array
+    copy: NDArray[Any] = np.array(array, dtype=kind)
+    copy.flags.writeable = False
+    return copy
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -216,6 +179,45 @@ def line_touches(grid: Bools, x0: float, y0: float, x1: float, y1: float) -> boo
             if grid[row, col]:
                 return True
     return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def keeps_to_gaps(offsets: Floats, x0: float, y0: float, x1: float, y1: float, tolerance: float) -> bool:
+    """Whether a segment passes each narrow gap where a way leads through it, up to a tolerance; all in cells.
+
+    Cells of a gap are those with `offsets` (H, W, 2). The segment is looked at once in half a cell.
+    """
+    height, width = offsets.shape[:2]
+    length = math.hypot(x1 - x0, y1 - y0)
+    for k in range(math.ceil(2.0 * length) + 1):
+        share = min(0.5 * k / length, 1.0) if length > 0.0 else 0.0
+        row, col = math.floor(y0 + share * (y1 - y0)), math.floor(x0 + share * (x1 - x0))
+        if not (0 <= row < height and 0 <= col < width):
+            continue
+        down, across = offsets[row, col]
+        if down != 0.0 or across != 0.0:
+            x, y = col + 0.5 + across - x0, row + 0.5 + down - y0
+            along = min(max((x * (x1 - x0) + y * (y1 - y0)) / max(length * length, 1e-12), 0.0), 1.0)
+            if math.hypot(x - along * (x1 - x0), y - along * (y1 - y0)) > tolerance:
+                return False
+    return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def line_cost(cost: Floats, x0: float, y0: float, x1: float, y1: float) -> float:
+    """The integral of a cost (H, W) along a segment, in cells: by the middles of pieces of at most half a cell.
+
+    Outside the cells the cost is 1.
+    """
+    height, width = cost.shape
+    length = math.hypot(x1 - x0, y1 - y0)
+    pieces = max(math.ceil(2.0 * length), 1)
+    total = 0.0
+    for k in range(pieces):
+        share = (k + 0.5) / pieces
+        row, col = math.floor(y0 + share * (y1 - y0)), math.floor(x0 + share * (x1 - x0))
+        total += cost[row, col] if 0 <= row < height and 0 <= col < width else 1.0
+    return total * length / pieces
 
 
 class Ray(NamedTuple):

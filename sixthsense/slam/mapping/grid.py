@@ -1,4 +1,4 @@
-"""The hit grid and the sense grid (report sections 4.4 and 4.5): evidence per cell, and inflation.
+"""The hit grid and the sense grid (report sections 4.4 and 4.5): evidence per cell.
 
 Cells are aligned to multiples of `cell_m` in the world, and indexed [row = y, col = x].
 """
@@ -7,45 +7,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import MAX_CELLS, TILE, Box, Changes, Revision, box_of, cell_box, grown_box
+from sixthsense.slam.mapping.changes import TILE, Box, Changes, box_of, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import (
     OFFSET,
     SCANS_PER_STAMP,
-    Cells,
     EvidenceRules,
+    Field,
     Ints,
     ScanCells,
+    Tiles,
     count_scan,
     touched_squares,
 )
-from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
-from sixthsense.slam.mapping.inflation import check_inflation, disc, disc_cells, give_way, marked, near_points, stamped
-from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
-from sixthsense.slam.mapping.tiles import ROW, Places, Tiles
+from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
+from sixthsense.slam.mapping.submap import Submap, add_submap
 
 __all__ = ["FreeSpace", "Grid"]
 
-
-CellField = Literal["hits", "passes", "cover", "seen", "obstacles", "down", "across"]
-
-
-class Masks(NamedTuple):
-    """Masks of a grid, (H, W), read-only: snapshots are made of them without a copy."""
-
-    box: Box
-    revision: Revision
-    seen: Bools
-    covered: Bools
-    """by the inflation of an obstacle"""
+_MOST_CELLS = 1000
+"""of a robot's radius and clearance; a larger disc takes longer to draw than a robot takes to drive"""
 
 
 class Grid:
@@ -56,67 +46,57 @@ class Grid:
     at most `passes_per_hit` passes per hit, so that a stray return does not block for ever. A hit makes an obstacle at
     once, however long the cell has been free: earlier passes are cut to the most that still leave it an obstacle.
     Hits beyond `max_hits` are not counted, so that a wall that was drawn in the wrong place can be erased.
-
-    Obstacles are inflated by the robot's true disc: a cell is blocked when a disc of `radius_m` + `clearance_m` about
-    its centre touches the square of an obstacle cell. A robot elsewhere in a free cell is at most 0.71 cells from the
-    centre, which a clearance of that much absorbs.
     """
 
     def __init__(self, config: GridConfig, radius_m: float) -> None:
         """Make an empty grid for a robot that is a disc of `radius_m`; ValueError if that is negative."""
         if not (math.isfinite(radius_m) and radius_m >= 0.0):
             raise ValueError(f"radius_m: found {radius_m}, allowed: at least 0")
-        self._config = config
-        self._rules = EvidenceRules(config.min_hits, config.max_hits, config.passes_per_hit)
-        self._inflation = (radius_m + config.clearance_m) / config.cell_m
-        """cells"""
-        check_inflation(self._inflation)
-        self._stencil = disc(self._inflation)
+        self.inflation_m = radius_m + config.clearance_m
+        """the robot's radius and clearance"""
+        if self.inflation_m > _MOST_CELLS * config.cell_m:
+            found = f"found a radius and a clearance of {self.inflation_m / config.cell_m:.0f} cells"
+            raise InputError("grid", found, f"at most {_MOST_CELLS}")
+        self._config, self._rules = config, EvidenceRules.of(config)
         self.changes = Changes()
         """where the evidence, or who stands in the way, has changed"""
-        self._reach = int(self._stencil.max(initial=0))
-        self._offsets: Places = self._stencil[:, 0] * ROW + self._stencil[:, 1]
         self.clear()
 
     @classmethod
     def from_counts(
         cls, config: GridConfig, radius_m: float, origin: tuple[float, float], hits: Ints, passes: Ints, seen: Bools
     ) -> Grid:
-        """The grid that has these counts: what `hits`, `passes`, `seen` and `origin` of another one said.
+        """The grid that has these counts: `hits`, `passes`, `seen` and `origin` of another one.
 
-        Obstacles and their inflation follow from the counts; scans may be added to it as to the other one. Raises
-        ValueError for arrays of different shapes and for an origin that is not finite.
+        Scans may be added to it as to the other one. Raises ValueError for arrays of different shapes and for an origin
+        that is not finite.
         """
         if not hits.ndim == 2 or not hits.shape == passes.shape == seen.shape:
             raise ValueError(f"counts: expected one shape (H, W), got {hits.shape}, {passes.shape} and {seen.shape}")
         if not np.isfinite(origin).all():
             raise ValueError(f"origin: found {origin}, allowed: finite numbers")
-        grid = cls(config, radius_m)
-        row, col = round(origin[1] / config.cell_m), round(origin[0] / config.cell_m)
-        grid._cells = grid._no_cells(max(config.max_hits, int(hits.max(initial=0))))
+        grid, (x, y) = cls(config, radius_m), origin
+        row, col = round(y / config.cell_m), round(x / config.cell_m)
+        grid._tiles = Tiles(grid._rules._replace(max_hits=max(config.max_hits, int(hits.max(initial=0)))))
         grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
-        grid._tiles.cover(grid._box.grown(grid._reach))
+        grid._tiles.cover(grid._box)
         kept = np.nonzero((hits > 0) | (passes > 0) | seen)
-        places = grid._make_room(np.stack([kept[0] + row, kept[1] + col], axis=1), hits[kept] > 0)
-        slots, cells = grid._tiles.slots(places), grid._cells
+        slots, cells = grid._tiles.slots(np.stack(kept, axis=1) + np.array([row, col])), grid._tiles.cells
         cells.hits[slots], cells.passes[slots], cells.seen[slots] = hits[kept], passes[kept], seen[kept]
-        mark_obstacles(cells, grid._tiles.index, grid._tiles.squares, grid._offsets, grid._rules)
+        grid._tiles.mark_obstacles(grid._tiles.index >= 0)
         return grid
 
     def clear(self) -> None:
         """Remove all evidence and all bodies, to rebuild the grid from stored scans."""
         self.changes.add_all()
-        self._box = Box(0, 0, 0, 0)
-        self._scans = 0
-        self._tiles, self._cells = Tiles(), self._no_cells(self._rules.max_hits)
+        self._box, self._scans, self._tiles = Box(0, 0, 0, 0), 0, Tiles(self._rules)
         self._bodies: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
         """(N, 2) cells, row, col from the world's origin, of who stands in the way"""
-        self._masks: Masks | None = None
 
     def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> Box:
         """Count one scan taken at `T_world_robot`, and the (W, 2, 2) wall segments (robot frame, metres) fitted to it.
 
-        Returns the box of the cells that may have changed, without inflation.
+        Returns the box of the cells that may have changed.
 
         A beam with a return hits the cell of its end and passes those before it. A beam without one (at or beyond
         the scan's maximum) passes all cells up to the maximum, or none if so configured. A NaN, zero or negative range
@@ -136,36 +116,32 @@ class Grid:
         angles = scan.bearings[valid] + T_world_laser.theta
         ends = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=1) + T_world_laser.position
         fitted = (T_world_robot @ walls).reshape(-1, 2) if self._config.walls else np.empty((0, 2))
-        points = np.concatenate([T_world_laser.position[None], ends, fitted])
+        points = np.concatenate([T_world_laser.position[None], ends, fitted])[:, ::-1] / self._config.cell_m
         if not np.isfinite(points).all():
             raise ValueError("scan: found a pose or a wall that is not finite, allowed: finite numbers")
-        cells = np.floor(points / self._config.cell_m)[:, ::-1]
-        before = self._box
+        before, cells = self._box, np.floor(points)
         self._grow(cells)
-        local = cells.astype(np.int64) - self._tiles.first
-        exact = points[1:, ::-1] / self._config.cell_m - self._tiles.first - 0.5
-        walls_at, ends_at = local[1 + len(ends) :], local[1 : 1 + len(ends)]
-        touched = ScanCells(local[0], ends_at, returned, walls_at, exact[: len(ends)], exact[len(ends) :])
-        low, high = local.min(axis=0), local.max(axis=0)
-        (top, left), (bottom, right) = (low - self._reach) // TILE, (high + self._reach) // TILE + 1
-        squares = np.zeros((bottom - top, right - left), dtype=np.bool_)
-        touched_squares(touched, self._reach, (int(top), int(left)), squares)
+        tiles, n = self._tiles, 1 + len(ends)
+        local, exact = cells.astype(np.int64) - tiles.first, points - tiles.first - 0.5
+        touched = ScanCells(local[0], local[1:n], returned, local[n:], exact[1:n], exact[n:])
+        squares = np.zeros(tiles.index.shape, dtype=np.bool_)
+        touched_squares(touched, squares)
         try:
-            self._allocate(self._tiles.lacking(squares, (int(top), int(left))))
+            tiles.allocate(squares)
         except InputError:
             self._box = before
             raise
-        box = box_of(np.stack([low, high]) + np.array(self._tiles.first))
+        box = box_of(cells.astype(np.int64))
         self.changes.add(box)
         if self._scans == SCANS_PER_STAMP:
-            self._cells.stamp[:], self._scans = 0, 0
+            tiles.cells.stamp[:], self._scans = 0, 0
         self._scans += 1
-        count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
+        count_scan(tiles.cells, tiles.index, touched, self._scans, self._rules)
         return box
 
     def submap(self) -> Submap:
         """The evidence of this grid, to compose another one."""
-        return submap_of(self._cells, self._tiles)
+        return Submap.from_tiles(self._tiles)
 
     def compose(self, submaps: Sequence[Submap]) -> None:
         """Replace all evidence by that of submaps in the order of their scans."""
@@ -177,123 +153,59 @@ class Grid:
     def recompose(self, submaps: Sequence[Submap], boxes: Sequence[Box]) -> None:
         """Replace the evidence in the tiles that boxes touch by that of submaps in the order of their scans."""
         self._grow(np.array([corner for box in boxes for corner in box.corners]))
-        touched = self._tiles.touched_by(boxes)
-        erase(self._cells, self._tiles.index, self._tiles.among(touched), self._offsets)
-        for submap in (whole.within(touched, self._tiles) for whole in submaps):
-            places = self._make_room(submap.cells, submap.hits > 0)
-            add_submap(self._cells, self._tiles.index, places, submap, self._rules)
-        mark_obstacles(self._cells, self._tiles.index, self._tiles.among(touched), self._offsets, self._rules)
+        tiles = self._tiles
+        touched = tiles.touched_by(boxes)
+        tiles.erase(touched)
+        for whole in submaps:
+            submap = whole.within(touched, tiles.first)
+            slots = tiles.slots(submap.cells)
+            add_submap(tiles.cells, slots, submap, self._rules)
+        tiles.mark_obstacles(touched)
         for box in boxes:
             self.changes.add(box.aligned(TILE))
 
     def mark_seen(self, cells: NDArray[np.int64]) -> None:
         """Mark cells (N, 2), row, col from the world's origin, as seen."""
         if len(cells):
-            self._grow(np.array([cells.min(axis=0), cells.max(axis=0)], dtype=np.float64))
+            self._grow(np.array([cells.min(axis=0), cells.max(axis=0)]))
             self.changes.add_all()
-            places = self._make_room(cells, np.zeros(len(cells), dtype=np.bool_))
-            self._cells.seen[self._tiles.slots(places)] = True
+            slots = self._tiles.slots(cells)
+            self._tiles.cells.seen[slots] = True
 
     def block_bodies(self, T_world_robot: Pose, standing_robot: Array, body_m: float) -> None:
         """Block the ways through bodies of a radius about returns (M, 2), robot's frame, in place of earlier ones.
 
-        They are inflated as obstacles are, and are none: they are no evidence.
+        They are kept clear of as obstacles are, and are none: they are no evidence.
         """
-        self._cover_bodies(-1)
-        self._bodies = disc_cells(T_world_robot @ standing_robot, body_m, self._config.cell_m)
-        self._cover_bodies(1)
+        before, around = self._bodies, disc(body_m / self._config.cell_m)
+        at = np.floor((T_world_robot @ standing_robot)[:, ::-1] / self._config.cell_m).astype(np.int64)
+        self._bodies = np.unique((at[:, None] + around).reshape(-1, 2), axis=0)
+        for bodies in (before, self._bodies):
+            if len(bodies):
+                self._grow(bodies)
+                self.changes.add(box_of(bodies))
 
-    def _cover_bodies(self, count: int) -> None:
-        """Add a count to the inflation of the bodies."""
-        if len(self._bodies):
-            self._grow(self._bodies.astype(np.float64))
-            places = self._make_room(self._bodies, np.ones(len(self._bodies), dtype=np.bool_))
-            covered = self._tiles.slots((places[:, None] + self._offsets[None]).ravel())
-            np.add.at(self._cells.cover, covered, count)
-            self.changes.add(box_of(self._bodies))
-
-    def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0, within: Ellipse | None = None) -> FreeSpace:
-        """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.
-
-        `margin_m` is added to the inflation. A negative one reduces it, down to no inflation. A positive one gives way
-        within `margin_m` of the points, so that a robot that near an obstacle can leave it, and a goal there can be
-        reached. All cells outside `within` are blocked; the inflation with a margin is computed inside it alone. Raises
-        ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
-        """
-        cell_m = self._config.cell_m
-        masks = self._whole_masks()
-        narrow = FreeSpace(masks.covered, masks.seen, self.origin, cell_m).covering(*points_world)
-        if margin_m == 0.0:
-            return narrow if within is None else narrow.between(within)
-        if not margin_m < math.inf:
-            raise ValueError(f"margin_m: found {margin_m}, allowed: a finite number")
-        inflation = max(self._inflation + margin_m / cell_m, 0.0)
-        check_inflation(inflation)
-        stencil = disc(inflation)
-        rim = max(int(stencil.max(initial=0)) - int(self._stencil.max()), 0)
-        seen = np.pad(masks.seen, rim)
-        seen.flags.writeable = False
-        origin = self.origin[0] - rim * cell_m, self.origin[1] - rim * cell_m
-        wide = FreeSpace(seen, seen, origin, cell_m).covering(*points_world)
-        origin, shape = wide.origin, wide.seen.shape
-        part = (
-            (slice(0, shape[0]), slice(0, shape[1])) if within is None else within.rows_and_cols(shape, origin, cell_m)
-        )
-        blocked = np.ones(shape, dtype=np.bool_)
-        first = round(origin[1] / cell_m), round(origin[0] / cell_m)
-        row, col = first[0] + part[0].start, first[1] + part[1].start
-        height, width = blocked[part].shape
-        blocked[part] = self.inflated(Box(row, col, row + height, col + width), margin_m)
-        for point in points_world if margin_m > 0.0 else ():
-            give_way(blocked, origin, narrow, point, margin_m)
-        if within is not None:
-            within.block_beyond(blocked, origin, cell_m)
-        blocked.flags.writeable = False
-        return FreeSpace(blocked, wide.seen, origin, cell_m)
-
-    def inflated(self, box: Box, margin_m: float) -> Bools:
-        """(H, W) the cells of a box that the inflation of an obstacle covers, with a margin as of `free_space`."""
-        stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
-        reach = int(stencil.max(initial=0))
-        around = box.grown(reach)
-        solid = self.part("obstacles", around)
-        if len(self._bodies):
-            solid |= marked(around, self._bodies)
-        return np.asarray(stamped(solid, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
+    def free_space(self, *points_world: ArrayLike) -> FreeSpace:
+        """Cells whose centres keep radius and clearance from those of obstacles; (2,) points are covered."""
+        taken = self.obstacles
+        taken[tuple((self._bodies - self._box[:2]).T)] = True
+        metres = ndimage.distance_transform_edt(~taken) * self._config.cell_m if taken.any() else np.inf
+        free = np.broadcast_to(metres > self.inflation_m, taken.shape)
+        return FreeSpace(~free, self.seen, self.origin, self._config.cell_m).covering(*points_world)
 
     def obstacle_points(self, box: Box) -> Array:
         """(N, 2) where the obstacles in a box are, world frame, metres: the mean of each cell's returns."""
         rows, cols = np.nonzero(self.part("obstacles", box))
         down, across = (self.part(name, box)[rows, cols] / OFFSET for name in ("down", "across"))
         points = np.stack([box.left + cols + 0.5 + across, box.top + rows + 0.5 + down], axis=1)
+        rows, cols = self._bodies.T
+        inside = (rows >= box.top) & (rows < box.bottom) & (cols >= box.left) & (cols < box.right)
+        points = np.concatenate([points, self._bodies[inside][:, ::-1] + 0.5])
         return np.asarray(points * self._config.cell_m)
 
-    def has_obstacle_within(self, cell: tuple[int, int], reach: float) -> bool:
-        """Whether an obstacle lies within `reach` cells from a cell, row, col from the world's origin."""
-        return self._tiles.has_within(self._cells.obstacles, cell, reach)
-
-    def near_returns(self, box: Box, distance_m: float) -> Bools:
-        """(H, W) the cells of a box in which no place keeps a distance from where obstacles are, and from bodies.
-
-        So a gap is as wide as its returns are apart, whichever way it lies to the cells.
-        """
-        reach = math.ceil(distance_m / self._config.cell_m) + 1
-        around, shape = box.grown(reach), (box.bottom - box.top, box.right - box.left)
-        points = self.obstacle_points(around) / self._config.cell_m - (box.left, box.top)
-        near = near_points(shape, points[:, ::-1], distance_m / self._config.cell_m)
-        if len(self._bodies):
-            stencil = disc(distance_m / self._config.cell_m)
-            near |= stamped(marked(around, self._bodies), stencil)[reach:-reach, reach:-reach]
-        return np.asarray(near)
-
-    def part(self, name: CellField, box: Box) -> NDArray[Any]:
+    def part(self, name: Field, box: Box) -> NDArray[Any]:
         """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""
-        return self._tiles.part(getattr(self._cells, name), box)
-
-    @property
-    def inflation_m(self) -> float:
-        """From the centre of a free cell to the square of an obstacle cell, at least."""
-        return self._inflation * self._config.cell_m
+        return self._tiles.part(getattr(self._tiles.cells, name), box)
 
     @property
     def hits(self) -> Ints:
@@ -307,7 +219,7 @@ class Grid:
 
     def narrow(self, name: Literal["hits", "passes"]) -> NDArray[Any]:
         """(H, W) `hits` or `passes` in the smallest type that holds them: most of a large box was never seen."""
-        counts = getattr(self._cells, name)
+        counts = getattr(self._tiles.cells, name)
         self._check_size()
         return self._tiles.part(counts.astype(np.min_scalar_type(int(counts.max(initial=0)))), self._box)
 
@@ -319,7 +231,7 @@ class Grid:
     @property
     def seen_area_m2(self) -> float:
         """Area of the cells that are seen."""
-        return int(np.count_nonzero(self._cells.seen)) * self._config.cell_m**2
+        return int(np.count_nonzero(self._tiles.cells.seen)) * self._config.cell_m**2
 
     @property
     def obstacles(self) -> Bools:
@@ -328,7 +240,7 @@ class Grid:
 
     @property
     def box(self) -> Box:
-        """The box of all cells that were seen, with their inflation and a rim, from the world's origin; it grows."""
+        """The box of all cells that were seen, with the robot's radius and a rim, from the world's origin; it grows."""
         return self._box
 
     @property
@@ -338,36 +250,14 @@ class Grid:
 
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        cells = self._cells.seen.astype(np.int8)
-        cells[self._cells.obstacles] = 101
+        cells = self._tiles.cells.seen.astype(np.int8)
+        cells[self._tiles.cells.obstacles] = 101
         self._check_size()
         occupancy = self._tiles.part(cells, self._box)
         occupancy -= 1  # in place: there may be many more cells than were seen
         return occupancy
 
-    def _no_cells(self, most_hits: int) -> Cells:
-        # An obstacle and a body may be in each cell of the stencil.
-        return Cells.empty(0, most_hits, 2 * len(self._stencil))
-
-    def _whole_masks(self) -> Masks:
-        """Seen cells and inflation of the whole map; kept, and made again where it has changed."""
-        self._check_size()
-        box, old, revision = self._box, self._masks, self.changes.revision
-        if old is not None and (old.box, old.revision) == (box, revision):
-            return old
-        since = self.changes.since(old.revision) if old is not None and old.box == box else None
-        if old is None or since is None:
-            seen, covered = self.part("seen", box), self.part("cover", box) > 0
-        else:
-            rows, cols = since.grown(self._reach).within((box.top, box.left), old.seen.shape)
-            changed = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
-            seen, covered = old.seen.copy(), old.covered.copy()
-            seen[rows, cols], covered[rows, cols] = self.part("seen", changed), self.part("cover", changed) > 0
-        seen.flags.writeable = covered.flags.writeable = False
-        self._masks = Masks(box, revision, seen, covered)
-        return self._masks
-
-    def _whole(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"]) -> NDArray[Any]:
+    def _whole(self, name: Field) -> NDArray[Any]:
         """(H, W) what is kept of all cells; InputError if they are more than 100 million."""
         self._check_size()
         return self.part(name, self._box)
@@ -376,24 +266,16 @@ class Grid:
         box = self._box
         cell_box(np.array([box.top, box.left], dtype=np.float64), np.array([box.bottom, box.right], dtype=np.float64))
 
-    def _make_room(self, cells: NDArray[np.int64], hit: Bools) -> Places:
-        """(N,) the places of cells (N, 2) within the box, with tiles for them and for the inflation of those hit."""
-        places = self._tiles.places(cells)
-        squares = self._tiles.around(places, 0) | self._tiles.around(places[hit], self._reach)
-        self._allocate(self._tiles.lacking(squares, (0, 0)))
-        return places
-
-    def _allocate(self, new: NDArray[np.int64]) -> None:
-        """Make room for the cells in squares (N, 2) that have no tile; InputError if there are too many."""
-        count = (len(self._tiles.squares) + len(new)) * TILE * TILE
-        if count > MAX_CELLS:
-            raise InputError("grid", f"found {count:,} cells that were seen", f"at most {MAX_CELLS:,} cells")
-        self._tiles.allocate(new)
-        if count > len(self._cells.hits):
-            self._cells.extend(max(count, len(self._cells.hits) * 5 // 4))
-
-    def _grow(self, cells: Array) -> None:
-        """Make room for (N, 2) cells (row, col from the world's origin), their inflation and a rim of free cells."""
-        margin = 1.0 + float(self._reach)
-        self._box = grown_box(self._box, cells.min(axis=0) - margin, cells.max(axis=0) + margin + 1.0)
+    def _grow(self, cells: NDArray[Any]) -> None:
+        """Make room for (N, 2) cells (row, col from the world's origin), for the robot around them, and for a rim."""
+        margin = 1.0 + math.floor(self.inflation_m / self._config.cell_m + 0.5 + TOUCH)
+        low, high = cells.min(axis=0).astype(np.float64), cells.max(axis=0).astype(np.float64)
+        self._box = grown_box(self._box, low - margin, high + margin + 1.0)
         self._tiles.cover(self._box)
+
+
+def disc(radius: float) -> NDArray[np.int64]:
+    """(K, 2) offsets (row, col) of the cells about whose centres a disc, in cells, touches the square at (0, 0)."""
+    reach = math.floor(radius + 0.5 + TOUCH)
+    gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0)
+    return np.argwhere(np.hypot(gap[:, None], gap[None, :]) <= radius + TOUCH) - reach

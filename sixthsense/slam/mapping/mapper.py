@@ -13,9 +13,8 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, box_of
 from sixthsense.slam.mapping.evidence import EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.inflation import disc
-from sixthsense.slam.mapping.submap import Submap, weakened
+from sixthsense.slam.mapping.grid import Grid, disc
+from sixthsense.slam.mapping.submap import Submap
 
 _NOTHING = np.zeros((0, 2))
 BODY_M = 0.2
@@ -73,10 +72,8 @@ class Mapper:
         Its cells count as seen when this run has seen them, or when the map is complete: exploring sees all of the
         building again.
         """
-        config = self._config
-        rules = EvidenceRules(config.min_hits, config.max_hits, config.passes_per_hit)
-        self.earlier, self._base = evidence, [weakened(evidence, rules)]
-        self._clear()
+        self.earlier, self._base = evidence, [evidence.weakened(EvidenceRules.of(self._config))]
+        self.grid.compose(self._base)
 
     def add(
         self,
@@ -124,7 +121,7 @@ class Mapper:
         self._rows = list(range(len(final)))
         self._trajectory = lambda: final
         if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
-            self._clear()
+            self.grid.compose(self._base)
             self._drawn_at, self._boxes = np.zeros((0, 3)), []
             self._submaps = {}
         self.draw()
@@ -133,10 +130,6 @@ class Mapper:
         if self.earlier is not None:
             self.grid.mark_seen(self.earlier.cells[self.earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], {}
-
-    def _clear(self) -> None:
-        """Remove the evidence of all scans of this run."""
-        self.grid.compose(self._base)
 
     def draw(self) -> Grid:
         """Draw the scans that are due, compose anew what those have changed that are drawn and have moved; the grid."""

@@ -12,12 +12,10 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import EvidenceRules
-from sixthsense.slam.mapping.freespace import Ellipse
-from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.inflation import disc_cells, marked, too_near
+from sixthsense.slam.mapping.grid import Grid, disc
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
-from sixthsense.slam.mapping.submap import Submap, weakened
+from sixthsense.slam.mapping.submap import Submap
 
 CELL = 0.07
 CONFIG = GridConfig(cell_m=CELL, clearance_m=0.04)
@@ -37,49 +35,13 @@ def scattered(rng):
     return Scan.from_config(rng.uniform(0.3, 2.4, LASER.beams), LASER)
 
 
-@pytest.mark.parametrize("margin", [-0.06, 0.0, 0.13])
-@pytest.mark.parametrize("bounded", [False, True])
-def test_free_space_is_that_of_a_disc_that_touches_no_obstacle_but_near_points(margin, bounded):
-    rng = np.random.default_rng(int(100 * (1 + margin)) + bounded)
-    grid = looked(rng)
-    points = rng.uniform(-1.2, 1.2, (2, 2)), np.array([[3.1, -0.4]])
-    points = [*points[0], *points[1]]
-    within = Ellipse(points[0], points[1], 1.3 * math.dist(points[0], points[1])) if bounded else None
-    space = grid.free_space(*points, margin_m=margin, within=within)
-    rows, cols = np.nonzero(grid.obstacles)
-    solid = np.column_stack([cols + 0.5, rows + 0.5]) * CELL + grid.origin
-    assert all(space.contains(point) for point in points) and len(solid) > 20
-    for row, col in np.ndindex(*space.blocked.shape):
-        centre = np.array(space.origin) + (np.array([col, row]) + 0.5) * CELL
-        away = np.hypot(*np.maximum(np.abs(solid - centre) - 0.5 * CELL, 0.0).T).min()
-        near = margin > 0.0 and min(math.dist(centre, point) for point in points) <= margin + CELL
-        blocked = away <= 0.15 + (0.0 if near else margin) + 1e-9
-        if within is not None:
-            way = math.dist(centre, within.a) + math.dist(centre, within.b)
-            blocked |= way > within.length_m + 2 * CELL
-        assert space.blocked[row, col] == blocked
-
-
-def test_discs_cover_the_cells_that_they_touch():
-    centres, radius = np.array([[0.33, -1.21], [0.45, -1.1]]), 0.16
-    found = set(map(tuple, disc_cells(centres, radius, CELL).tolist()))
-    own = np.floor(centres[:, ::-1] / CELL)
-    for row in range(-30, 0):
-        for col in range(-10, 20):
-            gap = np.maximum(np.abs(own - (row, col)) - 0.5, 0.0) * CELL  # of a disc about the centre of its cell
-            assert ((row, col) in found) == bool((np.hypot(*gap.T) <= radius).any())
-    box = Box(-20, 2, -13, 9)
-    inside = {(row - box.top, col - box.left) for row, col in found if -20 <= row < -13 and 2 <= col < 9}
-    mask = marked(box, np.array(sorted(found)))
-    assert mask.shape == (7, 7) and set(zip(*map(np.ndarray.tolist, np.nonzero(mask)), strict=True)) == inside
-
-
-def test_cells_are_too_near_within_a_radius_of_an_obstacle():
-    obstacles = np.random.default_rng(2).random((14, 19)) < 0.03
-    rows, cols = np.nonzero(obstacles)
-    for radius in (0.7, 2.0, 3.4):
-        away = np.hypot(np.arange(14)[:, None, None] - rows, np.arange(19)[None, :, None] - cols).min(axis=2)
-        assert np.array_equal(too_near(obstacles, radius), away < radius)
+@pytest.mark.parametrize("radius", [0.0, 0.4, 2.3, 5.51])
+def test_discs_cover_the_cells_that_they_touch(radius):
+    found = set(map(tuple, disc(radius).tolist()))
+    for row in range(-8, 9):
+        for col in range(-8, 9):
+            gap = max(abs(row) - 0.5, 0.0), max(abs(col) - 0.5, 0.0)
+            assert ((row, col) in found) == (math.hypot(*gap) <= radius)
 
 
 def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
@@ -90,7 +52,7 @@ def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
     for one in (grid, other):
         one.add(pose, scan, NO_WALLS)
     box = grid.box
-    for name in ("hits", "passes", "seen", "obstacles", "cover"):
+    for name in ("hits", "passes", "seen", "obstacles"):
         assert np.array_equal(grid.part(name, box), other.part(name, box))
     for wrong in ({"hits": grid.hits[1:]}, {"origin": (math.nan, 0.0)}):
         counts = {"origin": grid.origin, "hits": grid.hits, "passes": grid.passes, "seen": grid.seen, **wrong}
@@ -101,7 +63,7 @@ def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
 def test_old_evidence_is_that_of_three_scans_with_the_same_obstacles_and_free_cells():
     cells, hits = np.array([[2, 3], [2, 4], [-1, 7], [5, 5]]), np.array([20, 2, 9, 0], np.int32)
     passes = np.array([40, 3, 30, 6], np.int32)
-    found = weakened(Submap.of(cells, hits, passes, np.ones(4, bool)), EvidenceRules(1, 40, 2.5))
+    found = Submap.of(cells, hits, passes, np.ones(4, bool)).weakened(EvidenceRules(1, 40, 2.5))
     assert found.hits.tolist() == [3, 2, 3, 0]
     assert found.passes.tolist() == [6, 3, 8, 1]  # two per hit; as it was; free, by one more than 7; free
     assert not found.seen.any() and found.box == Box(-1, 3, 6, 8)

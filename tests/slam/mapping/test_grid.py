@@ -8,10 +8,9 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.slam.mapping.evidence import line_places
+from sixthsense.slam.mapping.evidence import line_cells
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.tiles import ROW
 
 NO_WALLS = np.empty((0, 2, 2))
 ROOM = np.array(
@@ -46,12 +45,6 @@ def cells_by_world(grid: Grid, values: Array) -> dict[tuple[int, int], int]:
     x0, y0 = grid.origin
     row0, col0 = round(y0 / CONFIG.cell_m), round(x0 / CONFIG.cell_m)
     return {(int(r) + row0, int(c) + col0): int(values[r, c]) for r, c in np.argwhere(values)}
-
-
-def line_cells(r0: int, c0: int, r1: int, c1: int) -> Array:
-    """(N, 2) cells of Bresenham's line, wherever they lie: places count rows and columns from 0."""
-    places, low = line_places(r0 + 1000, c0 + 1000, r1 + 1000, c1 + 1000), 1000
-    return np.stack([places // ROW - low, places % ROW - low], axis=1)
 
 
 CONFIG = GridConfig(cell_m=0.1)
@@ -100,28 +93,6 @@ class PlainGrid:
         return {c for c, n in self.hits.items() if n >= least and self.passes.get(c, 0) <= ratio * n}
 
 
-def inflated(obstacles: Array, radius_cells: float) -> Array:
-    """Cells from whose centre the square of an obstacle cell is within reach, one by one."""
-    blocked = np.zeros(obstacles.shape, dtype=bool)
-    for r, c in np.argwhere(obstacles):
-        near = np.s_[max(r - 6, 0) : r + 7, max(c - 6, 0) : c + 7]
-        rows, cols = np.ogrid[near]
-        gap = np.hypot(np.maximum(abs(rows - r) - 0.5, 0), np.maximum(abs(cols - c) - 0.5, 0))
-        blocked[near] |= gap <= radius_cells + 1e-9
-    return blocked
-
-
-def test_counts_in_the_smallest_type_are_the_same_counts() -> None:
-    grid, rng = Grid(CONFIG, 0.2), np.random.default_rng(4)
-    for _ in range(5):
-        pose = random_pose(rng)
-        grid.add(pose, scan_of_room(pose, max_range=4.0), np.zeros((0, 2, 2)))
-    assert grid.passes.max() > 1
-    for name in ("hits", "passes"):
-        narrow = grid.narrow(name)
-        assert narrow.dtype == np.uint8 and np.array_equal(narrow, getattr(grid, name))
-
-
 @pytest.mark.parametrize("seed", range(30))
 def test_a_bresenham_line_is_connected_thin_and_near_the_true_line(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -155,23 +126,6 @@ def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
     assert set(cells_by_world(grid, grid.seen)) == plain.seen
     assert grid.seen_area_m2 == pytest.approx(len(plain.seen) * CONFIG.cell_m**2)
     assert set(cells_by_world(grid, grid.obstacles)) == plain.obstacles
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("radius", [0.0, 0.05, 0.17, 0.3])
-def test_the_incremental_inflation_equals_a_full_inflation(seed: int, radius: float) -> None:
-    rng = np.random.default_rng(seed)
-    grid = Grid(CONFIG.replaced(clearance_m=0.0, passes_per_hit=0.6), radius)
-    toggled_off = 0
-    for _ in range(10):
-        before = cells_by_world(grid, grid.obstacles)
-        pose = random_pose(rng)
-        scan = scan_of_room(pose)
-        noisy = scan.ranges + rng.normal(0.0, 0.5, 120).astype(np.float32)
-        grid.add(pose, replace(scan, ranges=noisy), NO_WALLS)
-        toggled_off += len(set(before) - set(cells_by_world(grid, grid.obstacles)))
-        assert np.array_equal(grid.free_space().blocked, inflated(grid.obstacles, radius / CONFIG.cell_m))
-    assert toggled_off > 0
 
 
 def test_growth_keeps_what_was_counted() -> None:

@@ -1,5 +1,4 @@
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from sixthsense.config import Config, FollowConfig, RobotConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.path_driver import DriverLimits, Following, FollowLimits, GoalDrive, PathDriver, followed
+from sixthsense.navigation.driver import Drive, Driver, DriverLimits, advanced, followed
 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
 
@@ -19,18 +18,19 @@ class Follower:
     """Follows a path tick by tick, as a drive does."""
 
     def __init__(self, follow: FollowConfig, robot: RobotConfig) -> None:
-        self._limits = FollowLimits.of(Config(follow=follow, robot=robot))
-        self.follow(np.zeros((0, 2)))
+        self._limits = DriverLimits.of(Config(follow=follow, robot=robot))
 
     def follow(self, path: Array) -> None:
-        self._following = Following.along(path)
+        self._path, self._next, self._is_driving = path, 1, False
 
-    def remaining(self, pose: Pose) -> Array:
-        return self._following.remaining(pose)
+    @property
+    def left(self) -> int:
+        return len(self._path) - self._next
 
     def step(self, pose: Pose) -> Command:
-        speed, turn_rate, k, is_driving = followed((pose.x, pose.y, pose.theta), self._following, self._limits)
-        self._following = Following(self._following.path, k, is_driving)
+        at = pose.x, pose.y, pose.theta
+        found = followed(self._path, self._next, self._is_driving, at, self._limits)
+        speed, turn_rate, self._next, self._is_driving = found
         return Command(speed, turn_rate)
 
 
@@ -51,7 +51,9 @@ def drive(
     raise AssertionError("the follower never stood still")
 
 
-OWN = FollowLimits(distance_slack_m=0.03, heading_slack_rad=0.04, speed=0.7, turn_rate=1.3, period_s=0.05)
+OWN = DriverLimits(
+    distance_slack_m=0.03, heading_slack_rad=0.04, speed=0.7, turn_rate=1.3, period_s=0.05, patience_ns=7e9
+)
 AT = (1.7, -2.4, 0.6)
 WAY = np.array([[1.2, -2.9], [1.7 + 3.0 * math.cos(0.6), -2.4 + 3.0 * math.sin(0.6)], [5.3, 2.2]])
 
@@ -60,7 +62,7 @@ def followed_from(off_m: float = 3.0, off_rad: float = 0.0, is_driving: bool = F
     """One tick at so many metres from the way point, and so far turned away from it."""
     back = 3.0 - off_m
     pose = (AT[0] + back * math.cos(AT[2]), AT[1] + back * math.sin(AT[2]), AT[2] - off_rad)
-    return followed(pose, Following(WAY, 1, is_driving), OWN)
+    return followed(WAY, 1, is_driving, pose, OWN)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -88,14 +90,13 @@ def test_a_way_point_within_the_slack_of_distance_is_reached_and_none_is_oversho
     )
     assert followed_from(0.0299, is_driving=True)[2:] == (2, False)
     for path in (WAY[:2], WAY[:1], WAY[:0]):
-        assert followed((WAY[1, 0], WAY[1, 1], 0.6), Following(path, 1, True), OWN)[:2] == (0.0, 0.0)
+        assert followed(path, 1, True, (WAY[1, 0], WAY[1, 1], 0.6), OWN)[:2] == (0.0, 0.0)
 
 
-DRIVER = DriverLimits(goal_slack_m=0.06, patience_ns=7e9, turn_rate=1.1, follow=OWN)
-DRIVE = GoalDrive.towards((4.1, 2.0))._replace(
-    is_following=True, following=Following(WAY, 1, True), is_watched=True, anchor=(3 * 10**9, AT[0], AT[1])
-)
-TURN = DRIVE._replace(is_following=False, is_turning=True, heading=3.13, left_rad=0.05)  # across the cut
+DRIVE = Drive((4.1, 2.0), WAY, 1, True, False, 0.0, 0.0, (3 * 10**9, AT[0], AT[1]))
+TURN = DRIVE._replace(path=WAY[:0], heading=3.13, left_rad=0.05)  # across the cut
+THERE = TURN._replace(is_there=True)
+STEERED, ARRIVED, NO_WAY, STUCK = range(4)
 
 
 def at_goal(off_m: float) -> tuple[float, float, float]:
@@ -103,65 +104,86 @@ def at_goal(off_m: float) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize(
-    ("drive", "pose", "stamp_ns", "events"),
+    ("drive", "pose", "stamp_ns", "event"),
     [
-        (DRIVE, at_goal(0.0601), 4 * 10**9, []),
-        (DRIVE, at_goal(0.0599), 4 * 10**9, ["arrived"]),
-        (DRIVE, AT, 10 * 10**9, []),
-        (DRIVE, AT, 10 * 10**9 + 1, ["stuck"]),
-        (DRIVE._replace(is_watched=False), AT, 10 * 10**9 + 1, []),
-        (DRIVE, (AT[0] + 0.0999 * 0.8, AT[1] - 0.0999 * 0.6, 0.6), 10 * 10**9 + 1, ["stuck"]),
-        (DRIVE, (AT[0] + 0.1001 * 0.8, AT[1] - 0.1001 * 0.6, 0.6), 10 * 10**9 + 1, []),
-        (TURN, (AT[0], AT[1], 3.1799 - math.tau), 4 * 10**9, []),
-        (TURN, (AT[0], AT[1], 3.1801 - math.tau), 4 * 10**9, ["turned around"]),
-        (TURN, (AT[0], AT[1], 3.0799), 4 * 10**9, ["turned around"]),
+        (DRIVE, at_goal(0.0501), 4 * 10**9, STEERED),
+        (DRIVE, at_goal(0.0499), 4 * 10**9, ARRIVED),
+        (DRIVE, AT, 10 * 10**9, STEERED),
+        (DRIVE, AT, 10 * 10**9 + 1, STUCK),
+        (DRIVE._replace(anchor=(-1, 0.0, 0.0)), AT, 10 * 10**9 + 1, STEERED),
+        (DRIVE, (AT[0] + 0.0999 * 0.8, AT[1] - 0.0999 * 0.6, 0.6), 10 * 10**9 + 1, STUCK),
+        (DRIVE, (AT[0] + 0.1001 * 0.8, AT[1] - 0.1001 * 0.6, 0.6), 10 * 10**9 + 1, STEERED),
+        (TURN, (AT[0], AT[1], 3.1799 - math.tau), 4 * 10**9, STEERED),
+        (TURN, (AT[0], AT[1], 3.1801 - math.tau), 4 * 10**9, NO_WAY),
+        (TURN, (AT[0], AT[1], 3.0799), 4 * 10**9, NO_WAY),
+        (THERE, (AT[0], AT[1], 3.1799 - math.tau), 4 * 10**9, STEERED),
+        (THERE, (AT[0], AT[1], 3.1801 - math.tau), 4 * 10**9, ARRIVED),
     ],
-    ids=["before", "at goal", "patient", "stuck", "not watched", "no progress", "progress", "turns", "turned", "back"],
-)
-def test_the_mission_is_asked_at_the_goal_without_progress_and_after_a_turn_alone(
-    drive: GoalDrive, pose: tuple[float, float, float], stamp_ns: int, events: list[str]
+    ids=[
+        "before", "at goal", "patient", "stuck", "not watched", "no progress", "progress", "turns", "turned", "back",
+        "looks", "looked",
+    ],
+)  # fmt: skip
+def test_events_are_at_the_goal_without_progress_and_after_a_turn_alone(
+    drive: Drive, pose: tuple[float, float, float], stamp_ns: int, event: int
 ) -> None:
-    told: list[str] = []
-    nowhere = SimpleNamespace(free_space=lambda *_: None)
-    driver = PathDriver(nowhere, Pose(*AT), np.array(drive.goal), None, Config())  # type: ignore[arg-type]
-    driver.limits, driver.drive = DRIVER, drive
-    command = driver.step(Pose(*pose), stamp_ns, SimpleNamespace(handle=lambda event, _: told.append(event) or True))
-    assert told == events
-    if drive.is_following and not events:
-        assert (command.speed, command.turn_rate) == followed(pose, drive.following, OWN)[:2]
-    elif not drive.is_following:
-        assert (command.speed, command.turn_rate) == (0.0, 0.0 if events else 1.1)
-        assert driver.drive.is_turning != bool(events)
+    after, speed, turn_rate, found = advanced(drive, pose, stamp_ns, 0.0, OWN)
+    assert found == event
+    if len(after.path) and event == STEERED:
+        assert (speed, turn_rate) == followed(WAY, 1, True, pose, OWN)[:2]
+    elif not len(after.path):
+        assert (speed, turn_rate) == (0.0, 1.3 if event == STEERED else 0.0)
+
+
+def test_at_the_goal_the_robot_turns_as_far_as_was_asked_before_it_has_arrived() -> None:
+    driver, pose = Driver(Config()), Pose(2.0, 1.0, 0.4)
+    assert driver.step(pose, 0) == (Command(), None)
+    driver.head_for(np.array([2.01, 1.0]), 3.0)
+    driver.follow(np.array([[2.0, 1.0], [2.01, 1.0]]))
+    turned, event, ticks = 0.0, None, 0
+    while event is None:
+        command, event = driver.step(Pose(2.0, 1.0, 0.4 + turned), ticks)
+        turned, ticks = turned + 0.02 * command.turn_rate, ticks + 20_000_000
+        assert command.speed == 0.0
+    assert event == "arrived" and turned == pytest.approx(3.0, abs=0.03) and driver.is_there
+
+
+def test_a_search_that_goes_on_is_not_begun_anew_and_a_path_ends_it() -> None:
+    driver, pose = Driver(Config()), Pose(2.0, 1.0, 0.4)
+    driver.head_for(np.array([5.0, 1.0]), 0.0)
+    driver.search(pose, 2.0)
+    driver.step(Pose(2.0, 1.0, 1.4), 0)
+    driver.search(Pose(2.0, 1.0, 1.4), 2.0)
+    assert driver.drive.left_rad == pytest.approx(1.0)
+    path = np.array([[2.0, 1.0], [5.0, 1.0]])
+    driver.follow(path)
+    path[:] = 9.0  # it was copied
+    assert driver.step(Pose(2.0, 1.0, 0.0), 1)[0].speed > 0.0
+    assert driver.remaining(Pose(2.5, 1.1, 0.0)).tolist() == [[2.5, 1.1], [5.0, 1.0]]
+    driver.search(pose, 2.0)
+    assert not driver.following and driver.drive.left_rad == 2.0
 
 
 @settings(max_examples=40, deadline=None)
 @given(path=st.lists(places, min_size=1, max_size=4), theta=st.floats(-4.0, 4.0))
-def test_every_way_point_of_any_path_is_reached_in_order_within_the_limits(
+def test_every_way_point_of_any_path_is_reached_in_order_and_the_robot_stays_near_the_path(
     path: list[tuple[float, float]], theta: float
 ) -> None:
     follower = Follower(FOLLOW, ROBOT)
-    follower.follow(np.array([(0.0, 0.0), *path]))
+    corners = np.array([(0.0, 0.0), *path])
+    follower.follow(corners)
     rows = drive(follower, Pose(0.0, 0.0, theta))
     for _, command in rows:
         assert 0.0 <= command.speed <= ROBOT.speed
         assert abs(command.turn_rate) <= ROBOT.turn_rate
     positions = np.array([pose.position for pose, _ in rows])
+    assert off_path(positions, corners).max() < 0.1
     at = 0
     for point in path:
         near = np.flatnonzero(np.linalg.norm(positions[at:] - point, axis=1) <= FOLLOW.distance_slack_m)
         assert len(near), f"{point} was passed over"
         at += int(near[0])
-    assert len(follower.remaining(rows[-1][0])) == 1
-
-
-@settings(max_examples=25, deadline=None)
-@given(path=st.lists(places, min_size=1, max_size=3), theta=st.floats(-4.0, 4.0))
-def test_without_noise_the_robot_stays_near_its_path(path: list[tuple[float, float]], theta: float) -> None:
-    follower = Follower(FOLLOW, ROBOT)
-    corners = np.array([(0.0, 0.0), *path])
-    follower.follow(corners)
-    positions = np.array([pose.position for pose, _ in drive(follower, Pose(0.0, 0.0, theta))])
-    assert off_path(positions, corners).max() < 0.1
+    assert follower.left == 0
 
 
 def off_path(points: Array, corners: Array) -> Array:
@@ -172,21 +194,6 @@ def off_path(points: Array, corners: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - start - t[:, :, None] * along, axis=2).min(axis=1))
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_it_arrives_in_spite_of_noise_on_the_motion(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    follower = Follower(FOLLOW, ROBOT)
-    follower.follow(np.concatenate([np.zeros((1, 2)), rng.uniform(-3.0, 3.0, (3, 2))]))
-    pose = Pose()
-    for _ in range(10_000):
-        command = follower.step(pose)
-        if command == Command():
-            break
-        v, w = command.speed * (1.0 + 0.2 * rng.standard_normal()), command.turn_rate + 0.05 * rng.standard_normal()
-        pose = rk4(pose, v, w, ROBOT.control_period_s)
-    assert len(follower.remaining(pose)) == 1
-
-
 @pytest.mark.parametrize("control_period_s", [0.1, 0.5, 2.0])
 def test_a_slow_control_loop_overshoots_no_way_point(control_period_s: float) -> None:
     robot = RobotConfig(control_period_s=control_period_s)
@@ -195,14 +202,3 @@ def test_a_slow_control_loop_overshoots_no_way_point(control_period_s: float) ->
     poses = [pose for pose, _ in drive(follower, Pose(), robot)]
     assert max(pose.x for pose in poses) == pytest.approx(1.3, abs=1e-5)
     assert poses[-1].position == pytest.approx([1.3, 0.7], abs=1e-5)
-
-
-def test_the_path_given_is_copied_and_what_remains_starts_at_the_robot() -> None:
-    follower = Follower(FOLLOW, ROBOT)
-    path = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
-    follower.follow(path)
-    path[:] = 9.0
-    remaining = follower.remaining(Pose(0.5, 0.1, 0.0))
-    assert remaining.tolist() == [[0.5, 0.1], [1.0, 0.0], [2.0, 0.0]]
-    remaining[:] = 9.0
-    assert follower.remaining(Pose()).tolist() == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]

@@ -1,0 +1,219 @@
+"""Clearance: how far each cell is from the nearest obstacle, and what a way through it costs.
+
+Distances are measured from the centre of a cell to the means of the returns in obstacle cells, not to the squares of
+these cells. In a gap that is about as wide as the robot, a cell is measured at the place in it that is in the middle of
+the gap: so a gap is as wide as its returns are apart, whichever way it lies to the cells.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, Protocol
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.mapping.changes import Box, Changes, Revision
+from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace
+
+_OPPOSITE = 0.5  # cosine: the sides of a gap are at a larger angle than this to the way across it
+_SIDE = 2  # cells from the middle of a gap to where the distance has to be less
+_NOWHERE = Box(0, 0, 0, 0)
+
+
+class Obstacles(Protocol):
+    """What a clearance is drawn from: a grid."""
+
+    changes: Changes
+
+    @property
+    def box(self) -> Box:
+        """Of its cells."""
+        ...
+
+    def obstacle_points(self, box: Box) -> Array:
+        """(N, 2) where the obstacles in a box are, world frame, metres."""
+        ...
+
+    def part(self, name: Literal["seen", "obstacles"], box: Box) -> NDArray[Any]:
+        """(H, W) the cells of a box."""
+        ...
+
+
+class Clearance:
+    """The clearance of all cells of a grid, drawn again where the grid has changed.
+
+    Cells are those of the grid's box, arrays are (H, W), indexed [row = y, col = x]. They are valid until the next
+    update.
+    """
+
+    def __init__(self, cell_m: float, least_m: float, most_m: float) -> None:
+        """Begin without a map. Cells below `least_m` are blocked; larger distances than `most_m` count as that."""
+        self.cell_m, self.least_m, self.most_m = cell_m, least_m, max(most_m, least_m + 2.0 * cell_m)
+        self.box = _NOWHERE
+        """of the cells, counted from the world's origin"""
+        self.metres: Floats = np.zeros((0, 0), dtype=np.float32)
+        """(H, W) distance to the nearest obstacle, at most `most_m`"""
+        self.offsets: Floats = np.zeros((0, 0, 2), dtype=np.float32)
+        """(H, W, 2) row and col, in cells, from the centre of a cell to where it is measured; 0 outside narrow gaps"""
+        self.blocked: Bools = np.zeros((0, 0), dtype=np.bool_)
+        """(H, W) less than `least_m`"""
+        self.seen = self.obstacles = self.blocked
+        """(H, W) as of the grid"""
+        self._revision: Revision | None = None
+
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """(2,) row and col of the corner of the cells, counted from the world's origin."""
+        return np.array([self.box.top, self.box.left])
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """World x, y of the lower left corner of the cells, metres."""
+        return self.box.left * self.cell_m, self.box.top * self.cell_m
+
+    def update(self, grid: Obstacles) -> None:
+        """Draw the clearance again where the grid has changed."""
+        box, reach = grid.box, math.ceil(self.most_m / self.cell_m) + 1
+        changed = grid.changes.since(self._revision)
+        self._revision = grid.changes.revision
+        if box != self.box:
+            before, self.box = self.box, box
+            names = ("metres", "offsets", "blocked", "seen", "obstacles")
+            for name, fill in zip(names, (self.most_m, 0.0, False, False, False), strict=True):
+                setattr(self, name, _moved(getattr(self, name), before, box, fill))
+        part = (box if changed is None else changed.grown(reach)).within((box.top, box.left), self.metres.shape)
+        drawn = Box(box.top + part[0].start, box.left + part[1].start, box.top + part[0].stop, box.left + part[1].stop)
+        if drawn.bottom == drawn.top or drawn.right == drawn.left:
+            return
+        points = grid.obstacle_points(drawn.grown(reach))[:, ::-1] / self.cell_m - (drawn.top, drawn.left)
+        limits = self.least_m / self.cell_m, self.most_m / self.cell_m
+        _draw(self.metres[part], self.offsets[part], points, limits)
+        self.metres[part] *= self.cell_m
+        self.blocked[part] = self.metres[part] < self.least_m
+        self.seen[part], self.obstacles[part] = grid.part("seen", drawn), grid.part("obstacles", drawn)
+
+    def cell(self, point_world: ArrayLike) -> tuple[int, int]:
+        """Row and col of a (2,) point, clipped to the cells."""
+        x, y = np.asarray(point_world, dtype=np.float64).tolist()
+        row, col = math.floor(y / self.cell_m) - self.box.top, math.floor(x / self.cell_m) - self.box.left
+        return min(max(row, 0), self.metres.shape[0] - 1), min(max(col, 0), self.metres.shape[1] - 1)
+
+    def point(self, row: float, col: float) -> Array:
+        """(2,) the place in a cell at which its clearance is measured, world frame, metres."""
+        down, across = self.offsets[int(row), int(col)].tolist()
+        return np.array([self.box.left + col + 0.5 + across, self.box.top + row + 0.5 + down]) * self.cell_m
+
+    def free_space(self, wish_m: float, robot: ArrayLike | None = None, unseen_m: float = math.inf) -> FreeSpace:
+        """Where the robot may drive, and what that costs.
+
+        A metre costs 1, and (wish / clearance)^2 where its clearance is less than `wish_m`, like in Nav2's inflation
+        layer. A `robot` (2,) that stands where it is blocked may go where the clearance is no less than it has, within
+        `wish_m`. Cells that are farther than `unseen_m` from all seen ones are blocked.
+        """
+        lacking = np.float32(wish_m) / np.maximum(self.metres, np.float32(0.5 * self.cell_m))
+        cost = np.square(np.maximum(lacking, np.float32(1.0)))
+        blocked = self.blocked
+        if robot is not None and blocked[self.cell(robot)]:
+            blocked = blocked & ~self._way_out(self.cell(robot), wish_m)
+        if unseen_m < math.inf:
+            reach = max(1, round(unseen_m / self.cell_m))
+            blocked = blocked | (ndimage.maximum_filter(self.seen.view(np.uint8), 2 * reach + 1) == 0)
+        cost[blocked] = np.inf
+        return FreeSpace(blocked, self.seen, self.origin, self.cell_m, cost, self.offsets)
+
+    def _way_out(self, cell: tuple[int, int], reach_m: float) -> Bools:
+        """(H, W) the cells near one that have no less clearance than it, and itself."""
+        out = np.zeros_like(self.blocked)
+        reach = math.ceil(reach_m / self.cell_m)
+        part = tuple(slice(max(k - reach, 0), k + reach + 1) for k in cell)
+        out[part] = (self.metres[part] >= self.metres[cell]) & ~self.obstacles[part]
+        out[cell] = True
+        return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _draw(distance: Floats, offsets: Floats, points: Array, limits: tuple[float, float]) -> None:
+    """Write the distances of cells (H, W) to points (N, 2), row and col from the corner, and where they are measured.
+
+    All in cells. `limits` are the distance below which a cell is blocked, and the largest one.
+    """
+    height, width = distance.shape
+    least, most = limits
+    wide = np.full((height + 2 * _SIDE, width + 2 * _SIDE), np.float32(most * most))  # with a rim
+    for k in range(len(points)):
+        row, col = points[k, 0] - 0.5 + _SIDE, points[k, 1] - 0.5 + _SIDE
+        for r in range(max(math.ceil(row - most), 0), min(math.floor(row + most) + 1, len(wide))):
+            down_sq, line = np.float32((r - row) ** 2), wide[r]
+            half = math.sqrt(max(most * most - float(down_sq), 0.0))
+            first = max(math.ceil(col - half), 0)
+            step = np.float32(first - col)
+            for c in range(first, min(math.floor(col + half) + 1, len(line))):
+                line[c] = min(line[c], down_sq + step * step)
+                step += np.float32(1.0)
+    wide[:] = np.sqrt(wide)
+    distance[:], offsets[:] = wide[_SIDE:-_SIDE, _SIDE:-_SIDE], 0.0
+    reach = math.ceil(least) + 2
+    at = np.full((height + 2 * reach, width + 2 * reach), -1, dtype=np.int32)  # the point in each cell
+    for k in range(len(points)):
+        r, c = math.floor(points[k, 0]) + reach, math.floor(points[k, 1]) + reach
+        if 0 <= r < at.shape[0] and 0 <= c < at.shape[1]:
+            at[r, c] = k
+    for r in range(height):
+        for c in range(width):
+            if least - 1.0 <= distance[r, c] < least + 0.5 and _is_ridge(wide, r + _SIDE, c + _SIDE):
+                down, across, away = _middle(at[r : r + 2 * reach + 1, c : c + 2 * reach + 1], points, r + 0.5, c + 0.5)
+                if away > distance[r, c]:
+                    offsets[r, c, 0], offsets[r, c, 1] = np.float32(down), np.float32(across)
+                    distance[r, c] = np.float32(away)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_ridge(distance: Floats, row: int, col: int) -> bool:
+    """Whether the distances (H, W) fall on two opposite sides of a cell: there may be a gap."""
+    for down, across in ((0, _SIDE), (_SIDE, 0), (_SIDE, _SIDE), (_SIDE, -_SIDE)):
+        least = float(distance[row, col]) - 0.5
+        if distance[row + down, col + across] < least and distance[row - down, col - across] < least:
+            return True
+    return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _middle(at: NDArray[np.int32], points: Array, row: float, col: float) -> tuple[float, float, float]:
+    """The offset from a cell's centre to the middle of the gap that it is in, within the cell, and its distance.
+
+    `at` has the points in the cells around it, -1 where there is none. Without a gap the distance is 0.
+    """
+    near, down, across = np.inf, 0.0, 0.0
+    for k in at.flat:
+        if k >= 0:
+            away = math.hypot(row - points[k, 0], col - points[k, 1])
+            if 0.0 < away < near:
+                near, down, across = away, (row - points[k, 0]) / away, (col - points[k, 1]) / away
+    far = np.inf
+    for k in at.flat:
+        if k >= 0:
+            to_row, to_col = points[k, 0] - row, points[k, 1] - col
+            away = math.hypot(to_row, to_col)
+            if to_row * down + to_col * across > _OPPOSITE * away:
+                far = min(far, away)
+    if far == np.inf:
+        return 0.0, 0.0, 0.0
+    shift = min(0.5 * (far - near), 0.49 / max(abs(down), abs(across)))
+    down, across, found = down * shift, across * shift, np.inf
+    for k in at.flat:
+        if k >= 0:
+            found = min(found, math.hypot(row + down - points[k, 0], col + across - points[k, 1]))
+    return down, across, found
+
+
+def _moved(cells: NDArray[Any], before: Box, box: Box, fill: float) -> NDArray[Any]:
+    """(H, W, ...) what cells of a box have in another box, `fill` outside."""
+    shape = box.bottom - box.top, box.right - box.left
+    moved = np.full((*shape, *cells.shape[2:]), fill, dtype=cells.dtype)
+    here = box.within((before.top, before.left), cells.shape)
+    moved[before.within((box.top, box.left), shape)] = cells[here]
+    return moved

@@ -1,0 +1,120 @@
+"""What views are chosen from: the map at one moment, what is to be seen of it, and where the robot can drive.
+
+Masks are (H, W), indexed [row = y, col = x]. All of it is computed when a view is chosen.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.navigation.frontier import Known, Piece, Region, frontier_pieces
+from sixthsense.navigation.gridsearch import Cell, Cells, Links, ways_from
+from sixthsense.navigation.path_planner import DrivingMap
+from sixthsense.navigation.visibility import nearest_view
+from sixthsense.slam.mapping.freespace import Bools, Floats
+
+TILE_M = 0.2
+"""side of the tiles by which ways are measured, unless the robot is narrower: no way leads through a wall"""
+
+
+class ViewMap:
+    """The map at one choice of a view. Cells of a tile are those of a square of `side` cells."""
+
+    def __init__(
+        self, map_: DrivingMap, pose: Pose, region: Region, outside_m: float, radius_m: float, given_up: Bools
+    ) -> None:
+        """The map of a disc of `radius_m` at a pose, that is to see a region and what is near it.
+
+        `given_up` (H, W), of the cells of the clearance, are no longer to be seen.
+        """
+        clearance = map_.clearance
+        self.cell_m, self._radius_m = clearance.cell_m, radius_m
+        self.side = max(1, min(round(TILE_M / self.cell_m), math.floor(clearance.least_m / self.cell_m)))
+        """cells of a tile's side"""
+        space = map_.free_space(pose)
+        parts = tuple(slice(0, length // self.side * self.side) for length in space.blocked.shape)
+        self.first: Cell = (clearance.box.top, clearance.box.left)
+        """row and col of the masks' corner, counted from the world's origin"""
+        self.metres = clearance.metres[parts]
+        self.seen, self.obstacles = space.seen[parts], clearance.obstacles[parts]
+        self.free: Bools = self.seen & ~self.obstacles
+        """(H, W) seen, and no obstacle"""
+        self.known = Known.of(self.seen, self.obstacles, self.first, self.cell_m, region, outside_m)
+        """what is known, and what is to be seen, given up or not"""
+        self.wanted: Bools = self.known.unseen & ~given_up[parts]
+        """(H, W) to be seen"""
+        self.passable: Bools = self.seen & ~space.blocked[parts]
+        """(H, W) where the robot may drive"""
+        self.links = Links.of(self.passable, self.side)
+        self.here = self._here(pose)
+        self.ways, _ = ways_from(self.links, self.tile_cost(1.0), self.tile(self.here), np.zeros((0, 2), np.int64))
+        """(R, C) lengths of ways from the robot to tiles, in tiles; inf where none leads"""
+        self.places = self.best_cells(self.passable & self.of_tiles(np.isfinite(self.ways)))
+        """(R, C) of each tile that the robot can drive to its cell with the most clearance, a flat index; else -1"""
+
+    @property
+    def reachable(self) -> Bools:
+        """(H, W) cells that the robot can drive to."""
+        return self.passable & self.of_tiles(np.isfinite(self.ways))
+
+    def cell(self, point_world: Array) -> Cell:
+        """Row and col of a (2,) point, clipped to the masks."""
+        x, y = np.asarray(point_world, dtype=np.float64).tolist()
+        row, col = math.floor(y / self.cell_m) - self.first[0], math.floor(x / self.cell_m) - self.first[1]
+        return min(max(row, 0), self.seen.shape[0] - 1), min(max(col, 0), self.seen.shape[1] - 1)
+
+    def points(self, cells: Cells) -> Array:
+        """(N, 2) centres of cells (N, 2), world frame, metres."""
+        return np.asarray((np.asarray(cells, dtype=np.float64) + self.first + 0.5)[:, ::-1] * self.cell_m)
+
+    def tile(self, cell: Cell) -> Cell:
+        """The tile of a cell."""
+        return cell[0] // self.side, cell[1] // self.side
+
+    def of_tiles(self, tiles: NDArray[np.bool_]) -> Bools:
+        """(H, W) the cells of tiles (R, C)."""
+        return np.asarray(tiles.repeat(self.side, axis=0).repeat(self.side, axis=1))
+
+    def tile_cost(self, value: float) -> Floats:
+        """(R, C) the same cost of all tiles."""
+        return np.full(self.links.right.shape, value, dtype=np.float32)
+
+    def best_cells(self, mask: Bools) -> NDArray[np.int64]:
+        """(R, C) of each tile its cell of `mask` with the most clearance, a flat index; -1 without one."""
+        rows, cols = self.links.right.shape
+        metres = np.where(mask, self.metres, -1.0).reshape(rows, self.side, cols, self.side)
+        of_tile = metres.transpose(0, 2, 1, 3).reshape(rows, cols, -1)
+        best = of_tile.argmax(axis=2)
+        row = np.arange(rows)[:, None] * self.side + best // self.side
+        col = np.arange(cols)[None, :] * self.side + best % self.side
+        return np.where(of_tile.max(axis=2) >= 0.0, row * mask.shape[1] + col, -1)
+
+    def lengths_m(self, cells: Cells) -> Array:
+        """(N,) lengths of the ways from the robot to cells (N, 2), metres; inf where none leads."""
+        tiles = np.asarray(cells).reshape(-1, 2) // self.side
+        return np.asarray(self.ways[tuple(tiles.T)] * self.side * self.cell_m, dtype=np.float64)
+
+    def pieces(self, unseen: Bools) -> list[Piece]:
+        """The pieces of the frontier beside `unseen` (H, W) that are worth a look."""
+        robot = self.here, self._radius_m
+        return frontier_pieces(self.known.free, unseen, self.first, self.cell_m, robot)
+
+    def view_of(self, piece: Piece, places: NDArray[np.int64], reach: float) -> Cell | None:
+        """The nearest of the cells `places` (R, C), as of `best_cells`, that has a piece in view within a reach."""
+        index = int(nearest_view(self.obstacles, places, self.side, *piece.centre, reach))
+        return divmod(index, self.seen.shape[1]) if index >= 0 else None
+
+    def _here(self, pose: Pose) -> Cell:
+        """The cell that ways from the robot begin at: its own, or the nearest one that it may drive in."""
+        row, col = self.cell(pose.position)
+        reach = math.ceil(2.0 * self._radius_m / self.cell_m)
+        top, left = max(row - reach, 0), max(col - reach, 0)
+        near = np.argwhere(self.passable[top : row + reach + 1, left : col + reach + 1]) + np.array([top, left])
+        if len(near) == 0:
+            return row, col
+        row, col = near[int(np.argmin(((near - (row, col)) ** 2).sum(axis=1)))].tolist()
+        return row, col

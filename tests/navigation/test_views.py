@@ -1,0 +1,203 @@
+"""What is to be seen, from where it is seen, and what is left, on maps that a noiseless robot has seen."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import merge, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
+from sixthsense.navigation.exploration import TRIES, Exploration
+from sixthsense.navigation.frontier import Known, frontier_pieces, frontier_points
+from sixthsense.navigation.path_planner import DrivingMap
+from sixthsense.navigation.visibility import line_of_sight, nearest_view, visible_cells
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.grid import Grid
+
+RADIUS = 0.2
+CONFIG = preset()
+START = Pose(1.0, 1.0, 0.0)
+
+
+def rectangle(x0, y0, x1, y1):
+    return [[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]]
+
+
+ROOM = np.array(rectangle(0.0, 0.0, 3.0, 3.0))
+
+
+def two_rooms(door_m):
+    """The second room is visible from the first only through the door, whose middle is at (4, 2.3)."""
+    half = 0.5 * door_m
+    return np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 2.3 - half]], [[4.0, 2.3 + half], [4.0, 3.0]]])
+
+
+class Stage:
+    """An exploration of a region, and the map that the robot has of it."""
+
+    def __init__(self, walls, poses=(START,), **changes):
+        self.config, self.walls = merge(CONFIG, changes), walls
+        self.grid, self.map = Grid(self.config.grid, RADIUS), DrivingMap(RADIUS, self.config, True)
+        region = (0.0, 0.0, float(walls[..., 0].max()), 3.0)
+        self.task = Exploration(START.position, region, RADIUS, self.config, np.random.default_rng(0))
+        for pose in poses:
+            self.see(pose)
+
+    def see(self, pose):
+        laser = self.config.laser
+        ranges = cast_rays(pose, beam_bearings(laser), self.walls, laser.max_range)
+        self.grid.add(pose, Scan.from_config(ranges, laser), np.zeros((0, 2, 2)))
+
+    def next(self, pose, event="looked", sigma_m=0.0):
+        if event == "looked":
+            cov = np.diag([sigma_m**2, sigma_m**2, 0.0])
+            self.map.update(self.grid, Estimate.of_pose(pose, cov))
+        return self.task.next(self.map, pose, event)
+
+
+def seen_room(**changes):
+    return Stage(ROOM, [Pose(x, y, 0.0) for x in (0.7, 1.5, 2.3) for y in (0.7, 1.5, 2.3)], **changes)
+
+
+def at(goal):
+    x, y = goal.position.tolist()
+    return Pose(x, y, 0.0)
+
+
+def test_the_first_goal_is_a_viewpoint_from_which_unseen_cells_are_in_sight_and_it_stays() -> None:
+    stage = Stage(two_rooms(1.0))
+    goal = stage.next(START)
+    assert stage.task.state == "viewing" and goal.turn_rad > 0.0
+    assert stage.next(START) is goal and stage.next(START, "stopped") is goal
+    assert 2.0 < goal.position[0] < 4.5
+
+
+def test_when_nothing_is_left_to_see_the_robot_drives_home_and_has_explored() -> None:
+    stage = seen_room()
+    goal = stage.next(Pose(2.0, 2.0, 0.0))
+    assert stage.task.state == "going home" and goal.position.tolist() == START.position.tolist()
+    assert stage.next(START, "arrived") is None and stage.task.outcome == "explored"
+    at_once = seen_room(explore={"return_home": False})
+    assert at_once.next(START) is None and at_once.task.outcome == "explored"
+
+
+def test_without_a_way_home_the_goal_is_unreachable_but_with_people_the_robot_waits() -> None:
+    stage = seen_room()
+    stage.next(START)
+    assert stage.next(START, "no way") is None and stage.task.outcome == "goal unreachable"
+    patient = seen_room(people=True)
+    goals = [patient.next(START)]
+    while patient.task.outcome is None:
+        goals.append(patient.next(START, "no way"))
+    assert len(goals) == 7 and patient.task.outcome == "goal unreachable"
+
+
+def test_a_robot_that_is_stuck_twice_without_an_arrival_is_stuck() -> None:
+    stage = Stage(two_rooms(1.0))
+    stage.next(START)
+    assert stage.next(START, "stuck") is not None
+    assert stage.next(START, "stuck") is None and stage.task.outcome == "stuck"
+
+
+@pytest.mark.parametrize("event", ["arrived", "no way", "stopped"])
+def test_a_target_that_fails_as_often_as_is_tried_is_given_up_and_left(event: str) -> None:
+    stage = Stage(two_rooms(1.0))
+    goal, tries = stage.next(START), 0
+    while stage.task.state == "viewing":
+        goal, tries = stage.next(at(goal) if event == "arrived" else START, event), tries + 1
+    assert TRIES <= tries <= 20
+    assert {place.reason for place in stage.task.left} == {"gave up"}
+    assert stage.task.left[0].x > 3.5 and stage.task.left[0].area_m2 > 1.0
+
+
+def test_an_uncertain_robot_drives_back_to_where_it_was_certain_and_then_explores_on() -> None:
+    stage = Stage(two_rooms(1.0), [START, Pose(3.0, 2.0, 0.0)])
+    stage.next(START)
+    far = Pose(3.2, 2.2, 0.0)
+    for _ in range(12):  # to and fro, so that the way back is worth it
+        stage.next(START, sigma_m=0.05)
+        stage.next(far, sigma_m=0.08)
+    goal = stage.next(far, sigma_m=0.11)
+    assert stage.task.state == "closing a loop" and goal.position.tolist() == START.position.tolist()
+    assert stage.next(far, sigma_m=0.11) is goal
+    stage.next(far, sigma_m=0.04)
+    assert stage.task.state == "viewing"
+
+
+@pytest.mark.parametrize(
+    ("door_m", "guard", "reason"), [(0.3, True, "unreachable"), (0.45, False, "cut off by inflation only")]
+)
+def test_a_room_behind_a_narrow_door_is_left_with_the_width_of_the_gap(door_m: float, guard: bool, reason: str) -> None:
+    views = [Pose(x, y, 0.01) for x in (1.0, 2.5, 3.5) for y in (0.6, 1.4, 2.3)]
+    stage = Stage(two_rooms(door_m), views, safety={"guard": guard})  # without a guard it keeps 5 cm
+    goal = stage.next(Pose(2.5, 1.4, 0.0))
+    while stage.task.state == "viewing":
+        pose = at(goal)
+        stage.see(pose)
+        if stage.next(pose) is goal:
+            stage.next(pose, "arrived")
+        goal = stage.next(pose)
+    behind = [place for place in stage.task.left if place.reason == reason]
+    assert behind and behind[0].area_m2 > 1.0
+    assert behind[0].gap_m == pytest.approx(door_m, abs=0.06)  # a jamb ends beyond its last return
+
+
+@pytest.mark.parametrize(("opening", "is_view"), [(1, False), (2, False), (5, False), (10, True)])
+def test_openings_that_are_narrower_than_the_robot_are_no_frontier(opening: int, is_view: bool) -> None:
+    seen = np.zeros((60, 90), dtype=bool)
+    seen[3:57, 3:61] = True
+    obstacles = np.zeros_like(seen)
+    obstacles[[2, 57], 2:61] = obstacles[2:58, [2, 60]] = True
+    obstacles[30 : 30 + opening, 60] = False
+    known = Known.of(seen | obstacles, obstacles, (7, -9), 0.05, (-0.4, 0.4, 3.9, 3.2), 0.5)
+    assert known.free[30, 60] and not (known.free & known.unseen).any()
+    pieces = frontier_pieces(known.free, known.unseen, (7, -9), 0.05, ((20, 20), RADIUS))
+    assert bool(pieces) == is_view
+    for piece in pieces:
+        assert known.free[tuple(piece.cells.T)].all() and known.unseen[tuple(piece.unseen.T)].all()
+        assert (np.abs(piece.cells - (35, 60)).max(axis=0) <= (6, 1)).all()
+
+
+def test_figures_draw_the_frontier_that_is_explored_by() -> None:
+    stage = Stage(two_rooms(1.0))
+    region = (0.0, 0.0, 8.0, 3.0)
+    points = frontier_points(stage.grid, 0.05, region, 1.0, START.position, RADIUS)
+    goal = stage.next(START)
+    assert np.hypot(*(points - goal.position).T).min() < 0.5 and points[:, 0].max() < 8.1
+    assert frontier_points(Grid(CONFIG.grid, RADIUS), 0.05, region, 1.0, START.position, RADIUS).shape == (0, 2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nearest_view_is_the_nearest_place_in_sight(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    obstacles, side = rng.random((40, 52)) < 0.08, 4
+    places = np.full((10, 13), -1)
+    for r, c in np.argwhere(rng.random(places.shape) < 0.15):
+        places[r, c] = (r * side + rng.integers(side)) * 52 + c * side + rng.integers(side)
+    for row, col in rng.integers(0, (40, 52), (30, 2)).tolist():
+        near = [
+            (math.hypot(p // 52 - row, p % 52 - col), int(p))
+            for p in places[places >= 0]
+            if line_of_sight(obstacles, p // 52, p % 52, row, col)
+        ]
+        found = int(nearest_view(obstacles, places, side, row, col, 20.0))
+        away = min(near)[0] if near else math.inf
+        assert (found == -1) == (away >= 20.0)
+        if found >= 0:
+            assert math.hypot(found // 52 - row, found % 52 - col) == pytest.approx(away)
+
+
+def test_lines_of_sight_are_the_same_both_ways_and_end_at_obstacles() -> None:
+    rng = np.random.default_rng(5)
+    obstacles = rng.random((23, 31)) < 0.1
+    visible = visible_cells(obstacles, np.ones_like(obstacles), 8, 11, 9.5)
+    for r, c in np.ndindex(*obstacles.shape):
+        assert line_of_sight(obstacles, 8, 11, r, c) == line_of_sight(obstacles, r, c, 8, 11)
+        samples = np.linspace(0.0, 1.0, 400)
+        cells = np.floor(np.array([8.5, 11.5]) + samples[:, None] * (r - 8, c - 11)).astype(int)
+        between = [cell for cell in map(tuple, cells) if cell not in ((8, 11), (r, c))]
+        if any(obstacles[cell] for cell in between):
+            assert not line_of_sight(obstacles, 8, 11, r, c)
+        assert visible[r, c] == (math.hypot(r - 8, c - 11) <= 9.5 and line_of_sight(obstacles, 8, 11, r, c))
