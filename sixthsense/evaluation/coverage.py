@@ -107,6 +107,7 @@ def visible_area(
     disc = max(radius, 0.51 * cell_m)
     reach_m = max(disc, cell_m) + cell_m
     grid = SceneGrid(walls, origin, origin + cell_m * np.array([width, height]), cell_m, reach_m)
+    height, width = grid.clearance_m.shape  # a cell more where a quotient is rounded up
     clearances = grid.clearance_m.copy()
     grid.add(solid[len(walls) :], reach_m)
     x = origin[0] + (np.arange(width) + 0.5) * cell_m
