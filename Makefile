@@ -2,9 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SCALE ?= 1
 
-.PHONY: run test test-all interop coverage notebooks check kernels bench evidence evidence-logs guard pictures pictures-check docs clean
+.PHONY: run test test-all interop coverage notebooks check kernels bench evidence guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -53,17 +52,14 @@ check: $(VENV)/installed  ## style, types, imports, structure and budget of code
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -q -n 0 tests/test_house.py
 
-bench: $(VENV)/installed kernels  ## speed of the hot loops beside their limits; 5 minutes
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/kernels.py
+bench: $(VENV)/installed kernels  ## speed of the hot loops beside peers and limits; 2 minutes
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/suite.py speed
 
-evidence: $(VENV)/installed kernels  ## a part, 10 minutes, of the headline tables; again until nothing is left; SCALE=0.1: a tenth
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence.py --seeds-scale $(SCALE)
-
-evidence-logs: $(VENV)/installed kernels  ## the same of scan matching on logs, damaged logs and repeating buildings
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence_logs.py
+evidence: $(VENV)/installed kernels  ## rows that another package has measured, the oldest first, for 10 minutes; CASES=houses: these cases
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/suite.py --budget 10 $(CASES)
 
 guard: $(VENV)/installed kernels  ## has a headline figure become worse than its spread explains?
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/guard.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/suite.py --check $(CASES)
 
 pictures: $(VENV)/installed kernels  ## all pictures and films of README, site and gallery, and the notebooks; docs/pictures.toml
 	$(BIN)/python docs/pictures.py

@@ -2,9 +2,6 @@
 
 No damage moves the laser. The relations stay true, up to mirroring and the direction of time. Only ticks with a scan
 are kept, in `clean` too, which the others are to be compared with. Scans are taken to be instantaneous.
-
-Two make a log twice as long: `returned` drives it and comes back the same way by worse wheels, `joined` goes on through
-a corridor into the mirror image of the building, in which every place looks nearly like one that was seen.
 """
 
 from __future__ import annotations
@@ -21,7 +18,6 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.logs.log import Log, Relations
 from sixthsense.logs.stamps import matched
@@ -38,7 +34,6 @@ _WRONG_SCALE, _DRIFT_RAD_PER_M = 0.05, 0.04
 _PEOPLE_SCANS, _MOST_PEOPLE, _PEOPLE_M, _NEAREST_M = 100, 4, (0.5, 4.0), 0.4
 _PACE_M, _LEG_APART_M, _LEG_M, _LEG_SIGMA_M = 0.02, 0.15, 0.08, 0.02  # pace per scan; half the distance and the width
 _ROUGH_M, _ROUGH_SHARE, _LEAST_M = 0.03, 0.1, 0.05
-_CORRIDOR_M, _HALF_WIDTH_M, _STEP_M, _STEP_S, _ODOMETRY_M = 25.0, 1.1, 0.15, 0.3, 0.002
 
 
 class DamagedLog(NamedTuple):
@@ -60,9 +55,7 @@ def damaged(name: str, log: Log, relations: Relations, seed: int) -> DamagedLog:
             laser = laser.replaced(mount=(x, -y, -theta))
     if name == "backwards":
         stamps = sum(_ends_s(ticks)) - stamps
-    if name in LONGER:
-        ticks, stamps, poses = LONGER[name](ticks, rng, stamps, poses)
-    changed = Log(DAMAGES[name](ticks, rng) if name in DAMAGES else ticks, laser)
+    changed = Log(DAMAGES[name](ticks, rng), laser)
     known = (matched(_stamps_s(changed.ticks), stamps) >= 0).all(axis=1)
     return DamagedLog(changed, Relations(stamps[known], poses[known]))
 
@@ -74,7 +67,7 @@ def clean(ticks: Ticks, rng: np.random.Generator) -> Ticks:
 
 def gaps(ticks: Ticks, rng: np.random.Generator) -> Ticks:
     """Eight times no data for 2 to 4 s, where the robot turns most."""
-    turning = np.convolve(np.abs(_steps(ticks)[:, 2]), np.ones(_TURNING_OVER), "same")
+    turning = np.convolve(np.abs(steps_of(ticks)[:, 2]), np.ones(_TURNING_OVER), "same")
     stamps_s = 1e-9 * np.array([tick.stamp_ns for tick in ticks])
     kept, done = np.ones(len(ticks), dtype=np.bool_), 0
     for at in np.argsort(-turning):
@@ -98,26 +91,26 @@ def blanks(ticks: Ticks, rng: np.random.Generator) -> Ticks:
 
 def bumps(ticks: Ticks, rng: np.random.Generator) -> Ticks:
     """Six times the wheels miss a turn of 0.2 to 0.5 rad, or report one that was not driven."""
-    steps = _steps(ticks)
+    steps = steps_of(ticks)
     for at in _moving(ticks, rng, _BUMPS):
         steps[at, 2] += rng.choice((-1.0, 1.0)) * rng.uniform(*_BUMP_RAD)
-    return _with_steps(ticks, steps)
+    return with_steps(ticks, steps)
 
 
 def spins(ticks: Ticks, rng: np.random.Generator) -> Ticks:
     """Six times the wheels spin: 0.3 to 0.8 m forward that were not driven, over five scans."""
-    steps = _steps(ticks)
+    steps = steps_of(ticks)
     for at in _moving(ticks, rng, _SPINS):
         steps[at : at + _SPIN_SCANS, 0] += rng.uniform(*_SPIN_M) / _SPIN_SCANS
-    return _with_steps(ticks, steps)
+    return with_steps(ticks, steps)
 
 
 def wheels(ticks: Ticks, rng: np.random.Generator) -> Ticks:
     """Wheels with an error to one side: 5 % forward, 5 % in turns, and a drift of 0.04 rad/m."""
-    steps, side = _steps(ticks), rng.choice((-1.0, 1.0), 3)
+    steps, side = steps_of(ticks), rng.choice((-1.0, 1.0), 3)
     steps[:, 2] = steps[:, 2] * (1.0 + _WRONG_SCALE * side[1]) + _DRIFT_RAD_PER_M * side[2] * steps[:, 0]
     steps[:, :2] *= 1.0 + _WRONG_SCALE * side[0]
-    return _with_steps(ticks, steps)
+    return with_steps(ticks, steps)
 
 
 def people(ticks: Ticks, rng: np.random.Generator) -> Ticks:
@@ -181,70 +174,22 @@ DAMAGES: dict[str, Callable[[Ticks, np.random.Generator], Ticks]] = {
 }
 
 
-def returned(ticks: Ticks, rng: np.random.Generator, stamps: Array, poses: Array) -> tuple[Ticks, Array, Array]:
-    """Driven once more from the end back to the start, with the errors of `wheels` from there on.
-
-    The relations hold on both ways, and each place of them is the same on both.
-    """
-    end_s = _ends_s(ticks)[1]
-    back = [_later(tick, 2 * (ticks[-1].stamp_ns - tick.stamp_ns)) for tick in reversed(ticks[:-1])]
-    both = [*ticks, *back]
-    wrong = _steps(wheels(both, rng))
-    steps = np.concatenate([_steps(ticks), wrong[len(ticks) - 1 :]])
-    again = 2.0 * end_s - stamps
-    same = np.column_stack([stamps[:, 0], again[:, 0]]), np.zeros_like(poses)
-    return _with_steps(both, steps), np.concatenate([stamps, again, same[0]]), np.concatenate([poses, poses, same[1]])
-
-
-def joined(ticks: Ticks, rng: np.random.Generator, stamps: Array, poses: Array) -> tuple[Ticks, Array, Array]:
-    """Driven on through a corridor without doors into the mirror image of the building."""
-    scan, count = _scans(ticks)[0], round(_CORRIDOR_M / _STEP_M)
-    sides = np.array([[[-5.0, y], [_CORRIDOR_M + 5.0, y]] for y in (-_HALF_WIDTH_M, _HALF_WIDTH_M)])
-    last, found = ticks[-1], list(ticks)
-    for k in range(1, count + 1):
-        at = Pose(k * _STEP_M, 0.0, 0.0)
-        ranges = cast_rays(at @ scan.T_robot_laser, scan.bearings, sides, float(scan.max_range))
-        ranges = ranges + rng.normal(0.0, 0.01, len(ranges))
-        seen = np.where(ranges < scan.max_range, ranges, math.inf).astype(np.float32)
-        driven = at @ Pose(*rng.normal(0.0, _ODOMETRY_M, 3))
-        tick = dataclasses.replace(last, odometry=last.odometry @ driven, scan=dataclasses.replace(scan, ranges=seen))
-        found.append(_later(tick, round(1e9 * _STEP_S * k)))
-    begin = found[-1]
-    later_ns = begin.stamp_ns + round(1e9 * _STEP_S) - ticks[0].stamp_ns
-    for tick in mirrored(ticks, rng):
-        own = ticks[0].odometry.inverse()
-        moved = begin.odometry @ _mirror(own) @ tick.odometry
-        found.append(_later(dataclasses.replace(tick, odometry=moved), later_ns))
-    turned = np.column_stack([poses[:, 0], -poses[:, 1], wrap_angle(-poses[:, 2])])
-    return found, np.concatenate([stamps, stamps + 1e-9 * later_ns]), np.concatenate([poses, turned])
-
-
-def _later(tick: Tick, by_ns: int) -> Tick:
-    """The tick at a later time."""
-    own_s = None if tick.log_stamp_s is None else tick.log_stamp_s + 1e-9 * by_ns
-    return dataclasses.replace(tick, stamp_ns=tick.stamp_ns + by_ns, log_stamp_s=own_s)
-
-
-Longer = Callable[[Ticks, np.random.Generator, Array, Array], tuple[Ticks, Array, Array]]
-LONGER: dict[str, Longer] = {damage.__name__: damage for damage in (returned, joined)}
-
-
 def _moving(ticks: Ticks, rng: np.random.Generator, count: int) -> NDArray[np.int64]:
     """At most `count` scans at which the robot moves, one in each part of the log."""
-    steps = _steps(ticks)
+    steps = steps_of(ticks)
     way = np.hypot(steps[:, 0], steps[:, 1]) + _M_PER_RAD * np.abs(steps[:, 2])
     busy = np.flatnonzero(way > _MOVING_M)
     busy = busy[(busy > _MARGIN) & (busy < len(steps) - _MARGIN)]
     return np.array([rng.choice(part) for part in np.array_split(busy, count) if len(part)], dtype=np.int64)
 
 
-def _steps(ticks: Ticks) -> Array:
+def steps_of(ticks: Ticks) -> Array:
     """(n - 1, 3) motion by odometry between consecutive ticks, m and rad."""
     poses = [tick.odometry for tick in ticks]
     return np.array([(a.inverse() @ b).array() for a, b in itertools.pairwise(poses)])
 
 
-def _with_steps(ticks: Ticks, steps: Array) -> list[Tick]:
+def with_steps(ticks: Ticks, steps: Array) -> list[Tick]:
     """The ticks with other motions (n - 1, 3) by odometry."""
     odometry, found = ticks[0].odometry, [ticks[0]]
     for tick, step in zip(ticks[1:], steps, strict=True):

@@ -1,4 +1,4 @@
-"""Stop commands at random times, by random signals, and check that nothing is lost: `--times 200`.
+"""Stop commands at random times, by random signals, and check that nothing is lost.
 
 Each time a run, a replay, a live run or a campaign is started, half of them onto an earlier run or campaign, and gets
 SIGKILL, SIGTERM, SIGHUP, SIGINT or three SIGINT. The robot of the live runs is a process of its own on the loopback.
@@ -8,8 +8,6 @@ folder's lock is free.
 
 from __future__ import annotations
 
-import argparse
-import collections
 import os
 import shutil
 import signal
@@ -23,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from runs import Figures, Setting
 
 from sixthsense.config import load_config
 from sixthsense.config.errors import InputError
@@ -36,6 +35,7 @@ STOPS = {"SIGKILL": 1, "SIGTERM": 1, "SIGHUP": 1, "SIGINT": 1, "3 x SIGINT": 3}
 CODES = {"SIGKILL": -9, "SIGTERM": 143, "SIGHUP": 129, "SIGINT": 130, "3 x SIGINT": 130}
 KINDS = ("run", "replay", "campaign", "live", "run with viewer")
 EARLIER_SEED, NEW_SEED = 3, 7
+TIMES = 20
 DOMAIN = "73"  # of the network of the live runs
 
 
@@ -112,8 +112,8 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
-    """Check what is in the folder after a command; returns which run it is."""
+def check(case: Case, out: Path, earlier: dict[str, bytes]) -> None:
+    """Check what is in the folder after a command: the earlier run, or a whole new one."""
     partial = out.with_name(out.name + ".partial")
     with FolderLock(out if case.kind == "campaign" else partial):
         pass
@@ -123,7 +123,7 @@ def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
         rows = load_campaign(out).frame() if (out / "campaign.toml").exists() else []
         assert len(rows) <= 6 and (not len(rows) or set(rows["outcome"]) == {"tour ended"})
         assert len(rows) >= (2 if case.onto_earlier else 0), "rows are lost"
-        return f"{len(rows)} rows"
+        return
     if has_record(partial):
         try:
             load(partial)
@@ -132,13 +132,11 @@ def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
             if "found no scan" not in str(error):
                 raise
     if not case.onto_earlier and not out.exists():
-        return "partial" if partial.exists() else "nothing"
+        return
     assert reason_not_a_run(out) == "", reason_not_a_run(out)
-    if case.onto_earlier and content(out) == earlier:
-        return "earlier"
-    assert load_config(out / "config.toml").seed == NEW_SEED
-    assert "outcome" in load(out).metrics
-    return "new"
+    if not (case.onto_earlier and content(out) == earlier):
+        assert load_config(out / "config.toml").seed == NEW_SEED
+        assert "outcome" in load(out).metrics
 
 
 def left(marker: str) -> list[int]:
@@ -179,21 +177,16 @@ def durations(earlier: Path, campaign: Path, log: Path) -> dict[str, float]:
     return times | {"run with viewer": times["run"] + 1.0}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
-    options = parser.parse_args()
-    rng = np.random.default_rng(options.seed)
-    found: collections.Counter[str] = collections.Counter()
-    failures = 0
+def interrupted(setting: Setting, seed: int) -> Figures:
+    """Twenty interruptions; how many have lost something."""
+    rng = np.random.default_rng(seed)
+    lost = 0
     with tempfile.TemporaryDirectory() as folder, robot():
         earlier, campaign, log = (Path(folder) / name for name in ("earlier", "earlier-campaign", "log"))
         times = durations(earlier, campaign, log)
         before = content(earlier)
-        for number in range(options.times):
-            kind, how = str(rng.choice(options.kinds)), str(rng.choice(list(STOPS)))
+        for number in range(TIMES):
+            kind, how = str(rng.choice(KINDS)), str(rng.choice(list(STOPS)))
             case = Case(kind, how, bool(rng.integers(2)), float(rng.uniform(0.0, 1.1 * times[kind])))
             place = Path(folder) / f"case-{number}"
             place.mkdir()
@@ -203,20 +196,12 @@ def main() -> None:
             try:
                 code = stop(start(command(case, log, place / "x"), marker), case)
                 wait_until_gone(marker)
-                result = check(case, place / "x", before)
+                check(case, place / "x", before)
                 # A signal before the program has installed its handlers, or after its end, has its default effect.
                 defaults = {None, 0, CODES[how], -getattr(signal, how.split()[-1])}
                 assert code in defaults, f"exit code {code}"
             except Exception as error:
-                failures, result, code = failures + 1, f"FAILED {type(error).__name__}: {error}", None
-            found[f"{kind}: {result}"] += 1
-            print(f"{number + 1:4d}  {kind:15}  {how:10}  {'onto' if case.onto_earlier else 'new':4}  "
-                  f"{case.after_s:5.2f} s  exit {code}  {result}", flush=True)  # fmt: skip
+                lost += 1
+                print(f"seed {seed}, {case}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
             shutil.rmtree(place, ignore_errors=True)
-    print("\n".join(f"{count:4d}  {result}" for result, count in sorted(found.items())))
-    print(f"{options.times - failures} of {options.times}: the earlier run intact or the new one whole")
-    sys.exit(1 if failures else 0)
-
-
-if __name__ == "__main__":
-    main()
+    return {"stopped": TIMES, "lost": lost}

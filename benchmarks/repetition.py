@@ -12,9 +12,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from harness import Figures
 from numpy.typing import NDArray
 from repetition_scenes import SCENES, log_of
+from runs import Figures
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, wrap_angle

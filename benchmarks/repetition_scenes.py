@@ -58,15 +58,26 @@ def corridor_of_doors(rng: np.random.Generator) -> Building:
 
 
 def row_of_rooms(rng: np.random.Generator) -> Building:
-    """Equal rooms on both sides of a corridor, half of them visited twice."""
-    return _rooms(rng, np.zeros((12, 0, 2)))
-
-
-def furnished_rooms(rng: np.random.Generator) -> Building:
-    """The same, where each room has one piece of furniture at another place."""
-    places = rng.uniform((0.4, 0.6), (1.4, 3.0), (12, 1, 2))
-    places[rng.random(12) < 0.5, :, 0] += 2.6  # the robot drives between
-    return _rooms(rng, places)
+    """Six equal rooms on either side of a corridor, half of them visited twice."""
+    pitch, depth, width, door = 4.4, rng.uniform(3.6, 4.4), rng.uniform(1.9, 2.5), 1.0
+    length, table = 6 * pitch, box(rng.uniform((1.0, 2.2), (3.2, depth - 1.0)), np.array([0.8, 0.5]))
+    room = np.array([[[0, 0], [(pitch - door) / 2, 0]], [[(pitch + door) / 2, 0], [pitch, 0]], [[0, 0], [0, depth]],
+                     [[pitch, 0], [pitch, depth]], [[0, depth], [pitch, depth]]])  # fmt: skip
+    walls = [np.array([[[0, 0], [0, width]], [[length, 0], [length, width]]])]
+    doors = []
+    own = np.concatenate([room, table])
+    for k in range(12):
+        x, is_upper = pitch * (k % 6), k >= 6
+        # The room of the other side is the same, turned by half a circle.
+        walls.append(own + np.array([x, width]) if is_upper else np.array([x + pitch, 0.0]) - own)
+        doors.append((x + pitch / 2, is_upper))
+    middle, way = width / 2, [(0.8, width / 2)]
+    order = [0, 7, 2, 9, 4, 11, 10, 3, 8, 1, 6, 0, 2, 9, 4, 11, 3]
+    for k in order:
+        x, is_upper = doors[k]
+        inside = width + 1.5 if is_upper else -1.5
+        way += [(x, middle), (x, inside), (x, middle)]
+    return Building(np.concatenate(walls), way)
 
 
 def square_of_niches(rng: np.random.Generator) -> Building:
@@ -101,30 +112,13 @@ def out_and_back(rng: np.random.Generator) -> Building:
     return Building(closed([*low, *high, (0.0, width)]), [*ends, *ends, ends[0]][:4])
 
 
-def streets(rng: np.random.Generator) -> Building:
-    """Corridors around four equal blocks, with equal doors: four loops that share their sides."""
-    block, width, pitch = rng.uniform(14, 18), rng.uniform(1.9, 2.5), rng.uniform(3.0, 4.0)
-    step = block + width
-    walls = [closed(_square(0.0, 2 * step + width, -0.12, pitch))]
-    for x, y in itertools.product((width, width + step), repeat=2):
-        walls.append(closed(_square(0.0, block, 0.12, pitch)) + np.array([x, y]))
-    a, b, c = (width / 2 + k * step for k in range(3))
-    way = [
-        (a, a), (b, a), (b, b), (a, b), (a, a), (b, a), (c, a), (c, b), (b, b), (b, c), (a, c), (a, b), (b, b),
-        (c, b), (c, c), (b, c), (b, b), (b, a), (a, a),
-    ]  # fmt: skip
-    return Building(np.concatenate(walls), way)
-
-
 _HALF, _ROUND = 181, 360
 SCENES = {
     "doors": Scene(corridor_of_doors, LaserConfig(beams=_HALF, fov=math.pi, max_range=12.0)),
     "rooms": Scene(row_of_rooms, LaserConfig(beams=_ROUND, max_range=10.0)),
-    "furniture": Scene(furnished_rooms, LaserConfig(beams=_ROUND, max_range=10.0)),
     "niches": Scene(square_of_niches, LaserConfig(beams=_HALF, fov=math.pi, max_range=20.0), beam_sigma_m=0.02),
     "parallel": Scene(parallel_corridors, LaserConfig(beams=_HALF, fov=math.pi, max_range=30.0)),
     "out and back": Scene(out_and_back, LaserConfig(beams=_ROUND, max_range=8.0), slips=2, beam_sigma_m=0.015),
-    "streets": Scene(streets, LaserConfig(beams=_HALF, fov=math.pi, max_range=25.0), slips=1),
 }  # fmt: skip
 
 
@@ -190,29 +184,6 @@ def _by_wheels(truths: Sequence[Pose], slips: int, rng: np.random.Generator) -> 
         turn = step.theta * (1.0 - scale) - drift * step.x
         poses.append(poses[-1] @ Pose(said + position * noise[0], position * noise[1], turn + heading * noise[2]))
     return poses
-
-
-def _rooms(rng: np.random.Generator, furniture: Array) -> Building:
-    """Six equal rooms on either side of a corridor; `furniture` (12, n, 2) is where boxes stand in each, m."""
-    pitch, depth, width, door = 4.4, rng.uniform(3.6, 4.4), rng.uniform(1.9, 2.5), 1.0
-    length, table = 6 * pitch, box(rng.uniform((1.0, 2.2), (3.2, depth - 1.0)), np.array([0.8, 0.5]))
-    room = np.array([[[0, 0], [(pitch - door) / 2, 0]], [[(pitch + door) / 2, 0], [pitch, 0]], [[0, 0], [0, depth]],
-                     [[pitch, 0], [pitch, depth]], [[0, depth], [pitch, depth]]])  # fmt: skip
-    walls = [np.array([[[0, 0], [0, width]], [[length, 0], [length, width]]])]
-    doors = []
-    for k, places in enumerate(furniture):
-        x, is_upper = pitch * (k % 6), k >= 6
-        own = np.concatenate([room, table, *(box(place, np.array([0.5, 0.35])) for place in places)])
-        # The room of the other side is the same, turned by half a circle.
-        walls.append(own + np.array([x, width]) if is_upper else np.array([x + pitch, 0.0]) - own)
-        doors.append((x + pitch / 2, is_upper))
-    middle, way = width / 2, [(0.8, width / 2)]
-    order = [0, 7, 2, 9, 4, 11, 10, 3, 8, 1, 6, 0, 2, 9, 4, 11, 3]
-    for k in order:
-        x, is_upper = doors[k]
-        inside = width + 1.5 if is_upper else -1.5
-        way += [(x, middle), (x, inside), (x, middle)]
-    return Building(np.concatenate(walls), way)
 
 
 def _side(x0: float, x1: float, y: float, deep: float, pitch: float) -> list[Point]:

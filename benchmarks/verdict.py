@@ -1,11 +1,9 @@
-"""The verdict on maps: fit on runs with right and wrong maps, and judged on others.
+"""The verdict on maps: its weights, fitted on runs with right and wrong maps, and how it judges others.
 
-    SIXTHSENSE_DATA=FOLDER python benchmarks/verdict.py --runs  # the next runs of both halves; again until none is left
-    python benchmarks/verdict.py --fit                          # weights of the package, from the runs of one half
-    python benchmarks/verdict.py --keep                         # the tables of the other half, onto the page
+    SIXTHSENSE_DATA=FOLDER python benchmarks/verdict.py    # makes the runs of one half, and fits the weights; resumes
 
 A run is wrong if the mean error of its relations is above 0.3 m, or the largest above 2 m. Runs are kept in
-`.evidence/verdict`; a part of them begins no run after eight minutes.
+`.evidence/verdict`.
 """
 
 from __future__ import annotations
@@ -19,39 +17,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import verdict_runs
-from harness import CACHE, HERE, arguments, code_commit, finish
+from runs import Figures, Setting
 from scipy.optimize import minimize
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.verdict.evidence import evidence_of
 from sixthsense.verdict.judge import judge
-from sixthsense.verdict.probability import (
-    FEATURES,
-    OFF_M,
-    OFF_RAD,
-    keyframe_features,
-    map_features,
-    weights,
-)
-from sixthsense.verdict.verdict import Verdict
+from sixthsense.verdict.probability import FEATURES, OFF_M, OFF_RAD, keyframe_features, map_features, weights
 from sixthsense.verdict.witnesses import Witnesses
 
-RUNS = CACHE / "verdict"
+HERE = Path(__file__).resolve().parent
+RUNS = HERE / ".evidence" / "verdict"
 WEIGHTS = HERE.parent / "sixthsense" / "verdict" / "weights.json"
-_PART_S = 480.0
 _WRONG_MEAN_M, _WRONG_LARGEST_M = 0.3, 2.0
 _BACK_M = 10.0
 _PENALTY = 0.001  # of squared weights of features in their standard deviations, to the mean log-likelihood
 _HELD, _SILENT = 0.002, -5.0  # the same of intercepts, about that of a feature that says nothing
-_BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 1.0)
+BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 1.0)
 
 
 class Known(NamedTuple):
     """A run, its features, and whether it is wrong."""
 
-    name: str
-    damage: str
     found: Witnesses
     keyframes: Array
     """(K, F) features of the keyframes"""
@@ -60,57 +48,62 @@ class Known(NamedTuple):
     is_off: Array
     """(K,) whether each keyframe's pose is off"""
     is_wrong: bool
-    mean_m: float
-    largest_m: float
     seconds: float
     """processor time of the run, and of the verdict on it"""
     verdict_s: float
 
 
 def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--runs", action="store_true", help="make the next runs")
-    parser.add_argument("--fit", action="store_true", help="fit the weights of the package")
-    options = parser.parse_args()
-    if options.runs:
-        make_runs()
-        return
-    if options.fit:
-        write_weights(known_runs("fit"))
-    judged = known_runs("judge")
-    verdicts = [judge(run.found) for run in judged]
-    tables = [of_runs(judged, verdicts), reliability(judged, verdicts), by_damage(judged, verdicts)]
-    finish(options, "verdict", *tables)
+    """Make the runs of the half that is fitted, and fit."""
+    write_weights([known(made_run("fit", *job)) for job in verdict_runs.jobs("fit")])
 
 
-def make_runs() -> None:
-    began, sources = time.monotonic(), {}
-    both = [[(half, *job) for job in verdict_runs.jobs(half)] for half in ("fit", "judge")]
-    jobs = (job for pair in itertools.zip_longest(*both) for job in pair if job is not None)
-    for half, name, front, damage in jobs:
-        file = RUNS / half / f"{name}.{front}.{damage}.npz"
-        if file.exists():
-            continue
-        if time.monotonic() - began > _PART_S:
-            print("there are more")
-            return
+def made_run(half: str, name: str, front: str, damage: str) -> Path:
+    """The file of a run, which is made if it is not there."""
+    file = RUNS / half / f"{name}.{front}.{damage}.npz"
+    if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)
-        if name not in sources:
-            sources[name] = verdict_runs.source(half, name, RUNS)
-        np.savez_compressed(file, **verdict_runs.made(sources[name], front, damage, verdict_runs.SEEDS[half]))
+        source = verdict_runs.source(half, name, RUNS)
+        np.savez_compressed(file, **verdict_runs.made(source, front, damage, verdict_runs.SEEDS[half]))
+    return file
 
 
-def known_runs(half: str) -> list[Known]:
-    """The runs of a half, with their features."""
-    found = []
-    for file in sorted((RUNS / half).glob("*.npz")):
-        with np.load(file) as content:
-            arrays = dict(content)
-        found.append(known(file, arrays))
+def judged(setting: Setting, seed: int) -> Figures:
+    """How many runs with a damage are wrong, and are told so."""
+    runs = [known(made_run("judge", *job)) for job in verdict_runs.jobs("judge") if job[2] == setting[0]]
+    is_good = np.array([judge(run.found).level == "good" for run in runs])
+    wrong = np.array([run.is_wrong for run in runs])
+    return {
+        "wrong": wrong.sum(), "told": (wrong & ~is_good).sum(), "right": (~wrong).sum(),
+        "good": (is_good & ~wrong).sum(), "run_s": sum(run.seconds for run in runs),
+        "verdict_s": sum(run.verdict_s for run in runs),
+    }  # fmt: skip
+
+
+def reliability(setting: Setting, seed: int) -> Figures:
+    """Keyframes of all judged runs by what they were told: their mean probability, the share that is off, its error.
+
+    The standard error is of a ratio over runs, each a cluster of keyframes.
+    """
+    runs = [known(made_run("judge", *job)) for job in verdict_runs.jobs("judge")]
+    told, found = [judge(run.found).keyframes for run in runs], Figures()
+    for k, (low, high) in enumerate(itertools.pairwise(BINS)):
+        own = [(each >= low) & (each < high + (high == 1.0)) for each in told]
+        count, off, p = (
+            np.array([values[mask].sum() for values, mask in zip(each, own, strict=True)], dtype=np.float64)
+            for each in ([np.ones(len(one)) for one in told], [run.is_off for run in runs], told)
+        )
+        if count.any():
+            share = off.sum() / count.sum()
+            error = np.sqrt(((off - share * count) ** 2).sum() * len(runs) / max(len(runs) - 1, 1)) / count.sum()
+            found |= {f"p_{k}": p.sum() / count.sum(), f"share_{k}": share, f"error_{k}": error}
     return found
 
 
-def known(file: Path, arrays: dict[str, Any]) -> Known:
+def known(file: Path) -> Known:
+    """A run that was kept, with its features."""
+    with np.load(file) as content:
+        arrays: dict[str, Any] = dict(content)
     own, truth = verdict_runs.unpacked(arrays), arrays["truth"]
     truth = truth[np.maximum(own.keys, 0)]
     errors_m, _ = verdict_runs.errors(own.trajectory, truth)
@@ -119,14 +112,9 @@ def known(file: Path, arrays: dict[str, Any]) -> Known:
     features = keyframe_features(evidence)
     whole = map_features(evidence, features)
     spent_s = time.process_time() - began
-    name, front, damage = file.stem.split(".")
     is_wrong = bool(errors_m.mean() > _WRONG_MEAN_M or errors_m.max() > _WRONG_LARGEST_M)
     off = off_poses(own.trajectory, truth)
-    mean_m, largest_m = float(errors_m.mean()), float(errors_m.max())
-    return Known(
-        f"{name}, {front}", damage, own, features, whole, off, is_wrong, mean_m, largest_m,
-        float(arrays["seconds"]), spent_s,
-    )  # fmt: skip
+    return Known(own, features, whole, off, is_wrong, float(arrays["seconds"]), spent_s)
 
 
 def off_poses(poses: Array, truth: Array) -> Array:
@@ -146,7 +134,7 @@ def write_weights(runs: Sequence[Known]) -> None:
     even = np.where(wrong, 0.5 / wrong.mean(), 0.5 / (~wrong).mean())  # a map is wrong or right with the same prior
     of_map = fitted_any(whole, wrong, even, FEATURES)
     provenance = {
-        "fitted by": "python benchmarks/verdict.py --fit", "code": code_commit(),
+        "fitted by": "python benchmarks/verdict.py",
         "on": "pieces of Intel and fr079, their damages of seed 1, drives in generated worlds",
         "runs": len(runs), "wrong": int(wrong.sum()), "keyframes": len(off), "off": int(off.sum()),
     }  # fmt: skip
@@ -202,53 +190,6 @@ def fitted_any(features: Array, wrong: Array, share: Array, names: Sequence[str]
         "intercepts": dict(zip(names, intercepts.round(4).tolist(), strict=True)),
         "weights": dict(zip(names, slopes.round(4).tolist(), strict=True)),
     }
-
-
-def of_runs(runs: Sequence[Known], verdicts: Sequence[Verdict]) -> list[list[str]]:
-    wrong = np.array([run.is_wrong for run in runs])
-    told = np.array([verdict.level != "good" for verdict in verdicts])
-    cost = sum(run.verdict_s for run in runs) / sum(run.seconds for run in runs)
-    return [
-        ["runs not used for fitting", "asked", "measured", "of"],
-        ["wrong ones told doubtful or broken", "95 %", f"{100 * told[wrong].mean():.1f} %", str(wrong.sum())],
-        ["others told good", "97 %", f"{100 * (~told)[~wrong].mean():.1f} %", str((~wrong).sum())],
-        ["processor time of a run", "3 %", f"{100 * cost:.1f} %", str(len(runs))],
-    ]
-
-
-def reliability(runs: Sequence[Known], verdicts: Sequence[Verdict]) -> list[list[str]]:
-    """Keyframes by what they were told; the standard error is that over runs."""
-    lines = [["told p", "keyframes", "runs", "mean p", "share off", "standard error", "beyond, errors"]]
-    for low, high in itertools.pairwise(_BINS):
-        sums = []
-        for run, verdict in zip(runs, verdicts, strict=True):
-            own = (verdict.keyframes >= low) & (verdict.keyframes < high + (high == 1.0))
-            if own.any():
-                sums.append((own.sum(), run.is_off[own].sum(), verdict.keyframes[own].sum()))
-        if not sums:
-            continue
-        count, off, told = np.array(sums, dtype=np.float64).T
-        share, mean = off.sum() / count.sum(), told.sum() / count.sum()
-        # Of a ratio over runs, each a cluster of keyframes.
-        error = np.sqrt(((off - share * count) ** 2).sum()) / count.sum() * np.sqrt(len(sums) / max(len(sums) - 1, 1))
-        beyond = f"{(share - mean) / error:+.1f}" if error else ""
-        row = [f"{low:g} to {high:g}", f"{count.sum():,.0f}", str(len(sums)), f"{mean:.3f}", f"{share:.3f}"]
-        lines.append([*row, f"{error:.3f}", beyond])
-    return lines
-
-
-def by_damage(runs: Sequence[Known], verdicts: Sequence[Verdict]) -> list[list[str]]:
-    lines = [["damage", "wrong", "of these told", "others", "of these told good", "causes told"]]
-    for damage in dict.fromkeys(run.damage for run in runs):
-        own = [(run, verdict) for run, verdict in zip(runs, verdicts, strict=True) if run.damage == damage]
-        wrong = [verdict for run, verdict in own if run.is_wrong]
-        right = [verdict for run, verdict in own if not run.is_wrong]
-        causes = [verdict.cause for verdict in wrong if verdict.level != "good"]
-        counted = ", ".join(f"{causes.count(name)} {name or 'none'}" for name in dict.fromkeys(causes))
-        told = sum(verdict.level != "good" for verdict in wrong)
-        good = sum(verdict.level == "good" for verdict in right)
-        lines.append([damage, str(len(wrong)), str(told), str(len(right)), str(good), counted])
-    return lines
 
 
 if __name__ == "__main__":

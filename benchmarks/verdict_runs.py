@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from damaged_logs import DAMAGES
-from harness import data_path, replay
+from runs import data_path, replay
 from worlds import world
 from wrong_logs import WRONG, changed
 

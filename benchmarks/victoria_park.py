@@ -7,7 +7,7 @@ initial values and parameters.
 Timed for the estimator: `predict`, `update` and `estimate`, which returns the pose, its covariance and all landmarks.
 Timed for the direct calls (`by_hand`): construction of the factors, `ISAM2.update`, and reading the same three results
 by `calculateEstimate`, `marginalCovariance` and the landmarks as an array. The sides alternate step by step, and so
-does their order. `python benchmarks/evidence.py --rows victoria` measures it.
+does their order.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from time import perf_counter
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
-from harness import Figures
+from runs import Figures, Setting
 
-from sixthsense.config import ISAM2Config
+from sixthsense.config import ISAM2Config, preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.logs.graph import read_graph
 from sixthsense.logs.log import Log
 from sixthsense.slam.estimators import ESTIMATORS, Estimator, make_estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
@@ -153,3 +154,10 @@ def filter_figures(steps: Sequence[Step], smoothed: Array) -> Figures:
             gap = np.linalg.norm(estimator.trajectory()[:, :2] - smoothed[:, :2], axis=1)
             figures[f"{name.replace('-', '_')}_rms_from_smoothed_m"] = float(np.sqrt(np.mean(gap**2)))
     return figures
+
+
+def figures(setting: Setting, seed: int) -> Figures:
+    """`isam2` against direct calls of GTSAM, and the filters against the smoother; nothing is drawn."""
+    steps = steps_of(read_graph(FILE))
+    found, smoothed = smoother_figures(steps, preset("victoria").isam2)
+    return found | filter_figures(steps, smoothed)

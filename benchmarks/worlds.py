@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from generated_worlds import FAMILIES, generated_world
-from harness import data_path
 from numpy.typing import NDArray
+from runs import data_path
 from scipy.ndimage import distance_transform_edt, label
 
 from sixthsense.config.errors import InputError
@@ -139,11 +139,6 @@ def _in_free(poses: Sequence[Pose], scene: Scene) -> float:
         nearest = int(np.argmin(np.hypot(*off.T)))
         outside += bool(along[nearest, 0] * -off[nearest, 1] - along[nearest, 1] * -off[nearest, 0] < 0.0)
     return outside / len(poses)
-
-
-def plans_at_hand() -> list[str]:
-    """The names of the plans under SIXTHSENSE_DATA; none without it."""
-    return [file.stem for file in sorted(data_path("plans").glob("*.yaml"))]
 
 
 def plan(name: str) -> str:

@@ -11,10 +11,9 @@ import zlib
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from damaged_logs import DAMAGES
+from damaged_logs import DAMAGES, steps_of, with_steps
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.se2 import between, compose
 from sixthsense.core.source import Tick
 
 Ticks = Sequence[Tick]
@@ -85,7 +84,7 @@ def blinded(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
     """No return on 8 to 20 m, where the wheels are wrong by 10 to 25 % and drift."""
     first, past = _stretch(truth, rng, (8.0, 20.0))
     found, scale = list(ticks), 1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(0.1, 0.25)
-    steps = between(_odometry(ticks)[:-1], _odometry(ticks)[1:])
+    steps = steps_of(ticks)
     steps[first:past, :2] *= scale
     steps[first:past, 2] += rng.choice((-1.0, 1.0)) * rng.uniform(0.03, 0.08) * np.hypot(*steps[first:past, :2].T)
     for k in range(first, past):
@@ -94,7 +93,7 @@ def blinded(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
         found[k] = dataclasses.replace(
             found[k], scan=dataclasses.replace(scan, ranges=np.full_like(scan.ranges, np.inf))
         )
-    return _with_odometry(found, steps), truth
+    return with_steps(found, steps), truth
 
 
 def clocks(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
@@ -108,15 +107,15 @@ def clocks(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
 
 def bad_wheels(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
     """Wheels that are wrong by 30 % forward and 20 % in turns."""
-    steps, side = between(_odometry(ticks)[:-1], _odometry(ticks)[1:]), rng.choice((-1.0, 1.0), 2)
+    steps, side = steps_of(ticks), rng.choice((-1.0, 1.0), 2)
     steps[:, :2] *= 1.0 + 0.3 * side[0]
     steps[:, 2] *= 1.0 + 0.2 * side[1]
-    return _with_odometry(list(ticks), steps), truth
+    return with_steps(ticks, steps), truth
 
 
 def slipped(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
     """Twice the wheels spin for 2 to 5 m, or turn by 0.7 to 2 rad, over two seconds."""
-    steps = between(_odometry(ticks)[:-1], _odometry(ticks)[1:])
+    steps = steps_of(ticks)
     for at in (0.35, 0.7):
         first = int(at * len(steps)) + int(rng.integers(-20, 20))
         past = first + 10
@@ -124,7 +123,7 @@ def slipped(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
             steps[first:past, 0] += rng.uniform(2.0, 5.0) / 10
         else:
             steps[first:past, 2] += rng.choice((-1.0, 1.0)) * rng.uniform(0.7, 2.0) / 10
-    return _with_odometry(list(ticks), steps), truth
+    return with_steps(ticks, steps), truth
 
 
 WRONG: dict[str, Callable[[Ticks, Array, np.random.Generator], Wrong]] = {
@@ -142,14 +141,6 @@ def _with_scans(ticks: Ticks, of: Callable) -> list[Tick]:  # type: ignore[type-
 
 def _odometry(ticks: Ticks) -> Array:
     return np.array([tick.odometry.array() for tick in ticks])
-
-
-def _with_odometry(ticks: Ticks, steps: Array) -> list[Tick]:
-    pose, found = ticks[0].odometry.array(), [ticks[0]]
-    for tick, step in zip(ticks[1:], steps, strict=True):
-        pose = compose(pose, step)
-        found.append(dataclasses.replace(tick, odometry=Pose.from_array(pose)))
-    return found
 
 
 def _stretch(truth: Array, rng: np.random.Generator, length_m: tuple[float, float]) -> tuple[int, int]:

@@ -10,12 +10,14 @@ import numpy as np
 from sixthsense.figures import new_axes, plot
 from sixthsense.figures.plot import ESTIMATE
 
-TABLES = Path(__file__).parents[2] / "benchmarks" / "results" / "verdict.json"
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results.json"
 
 
 def main() -> None:
-    _, lines, _ = json.loads(TABLES.read_text())["tables"]
-    told, share, error = np.array([line[3:6] for line in lines[1:]], dtype=np.float64).T
+    values = json.loads(RESULTS.read_text())["rows"]["reliability"]["values"]
+    told, share, error = (
+        np.array([values[f"{name}_{k}"][0] for k in range(5) if f"p_{k}" in values]) for name in ("p", "share", "error")
+    )
     figure, (ax,) = new_axes(1, 1, 6.0, 5.0)
     ax.plot([0.0, 1.0], [0.0, 1.0], color="0.6", label="calibrated")
     ax.errorbar(told, share, 2.0 * error, color=ESTIMATE, marker="o", capsize=3.0, label="keyframes, 2 standard errors")

@@ -1,21 +1,28 @@
-"""An exercise, and what is off in an answer to it."""
+"""An exercise, and what is off in an answer: first by patterns of results and arguments, then by its own hints."""
 
 from __future__ import annotations
 
 import copy
+import inspect
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.testing.laws import Failures
 
 Draw = Callable[[np.random.Generator], tuple[Any, ...]]
 """arguments of an answer, drawn anew for each case"""
+Wrong = tuple[str, Callable[[int], list[Array]]]
+"""a hint, and the results of the wrong answer that it explains in a case"""
+Mistakes = Mapping[str, Mapping[str, Callable[..., Any]]]
+"""of an exercise, wrong answers that no pattern explains, by their hint"""
 
 CASES = 5
 """on which an answer is called"""
@@ -25,39 +32,28 @@ UNANSWERED = "no answer yet: fill in the cell above"
 
 
 @dataclass(frozen=True, slots=True)
-class Mistake:
-    """A wrong answer, and what is said of it."""
-
-    hint: str
-    answer: Callable[..., Any]
-
-
-@dataclass(frozen=True, slots=True)
 class Exercise:
     """A function to be written, which is compared with a reference on drawn arguments."""
 
-    name: str
     results: tuple[str, ...]
     """what the function returns, by name"""
     draw: Draw
     reference: Callable[..., Any]
-    mistakes: tuple[Mistake, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
     """A part to be written, which the checker of its seam judges."""
 
-    name: str
-    judge: Callable[[Any], str]
-    """what is off, in a sentence; empty if nothing"""
+    checker: Callable[[Any], Failures]
 
 
-def verdict(failures: Failures) -> str:
-    """What a checker of a seam has found, in a sentence; empty if all laws hold but those that are optional.
+def judged(exercise: Judged, part: Any) -> str:
+    """What the checker of a seam has found, in a sentence; empty if all laws hold but those that are optional.
 
     Raises NotImplementedError if that is all that the part does.
     """
+    failures = exercise.checker(part)
     if failures.kept:
         return ""
     if all("NotImplementedError" in found for found in failures.values()):
@@ -66,43 +62,165 @@ def verdict(failures: Failures) -> str:
     return f"it breaks {len(failures)} of {failures.tested} laws, first: {law}: {found}"
 
 
-def _cases(exercise: Exercise) -> Iterator[tuple[Any, ...]]:
-    for seed in range(CASES):
-        yield exercise.draw(np.random.default_rng(seed))
+def cases(exercise: Exercise) -> list[tuple[Any, ...]]:
+    """The arguments on which answers are compared."""
+    return [exercise.draw(np.random.default_rng(seed)) for seed in range(CASES)]
 
 
-def compared(exercise: Exercise, answer: Callable[..., Any]) -> str:
+def compared(exercise: Exercise, mistakes: Mapping[str, Callable[..., Any]], answer: Callable[..., Any]) -> str:
     """What is off in an answer, by the reference; empty if nothing. Raises NotImplementedError as the answer does."""
-    cases, found = list(_cases(exercise)), []
-    for given in cases:
-        kept = copy.deepcopy(given)
+    given, found, count = cases(exercise), list[list[Array]](), len(exercise.results)
+    for one in given:
+        kept = copy.deepcopy(one)
         try:
-            found.append(_as_results(answer(*kept), len(exercise.results)))
+            returned = answer(*kept)
+            if returned is None or returned is Ellipsis:
+                return UNANSWERED
+            found.append(_as_results(returned, count))
         except NotImplementedError:
             raise
-        except Exception as error:  # whatever an answer raises is said
+        except Exception as error:  # whatever an answer raises is printed
             return f"it raises {type(error).__name__}: {error}"
-        if found[-1] is None:
-            return UNANSWERED
-        if not _same(_as_arrays(kept), _as_arrays(given)):
+        if not _same(_as_arrays(kept), _as_arrays(one)):
             return "it changes one of its arguments: work on a copy"
-    right = [_as_results(exercise.reference(*given), len(exercise.results)) or [] for given in cases]
-    wrong = [k for k in range(CASES) if not _same(found[k] or [], right[k])]
-    if not wrong:
+    right = [_as_results(exercise.reference(*one), count) for one in given]
+    first = next((k for k in range(CASES) if not _same(found[k], right[k])), None)
+    if first is None:
         return ""
-    first = wrong[0]
-    off = _difference(exercise.results, found[first] or [], right[first])
-    for mistake in exercise.mistakes:
-        as_wrong = [_as_results(mistake.answer(*given), len(exercise.results)) or [] for given in cases]
-        if all(_same(found[k] or [], as_wrong[k]) for k in range(CASES)):
-            return f"{mistake.hint} ({off})"
-    return off
+    off = _difference(exercise.results, found[first], right[first])
+    hints = (hint for hint, wrong in wrong_answers(exercise, mistakes, answer) if _explains(wrong, found, right))
+    hint = next(hints, None) or _factor(exercise.results, found, right)
+    return f"{hint} ({off})" if hint else off
 
 
-def _as_results(returned: Any, count: int) -> list[Array] | None:
-    """The results as arrays; None for no answer."""
-    if returned is None or returned is Ellipsis:
-        return None
+def wrong_answers(
+    exercise: Exercise, mistakes: Mapping[str, Callable[..., Any]], answer: Callable[..., Any]
+) -> Iterator[Wrong]:
+    """Wrong answers with their hints, which name arguments as the answer does."""
+    given, count = cases(exercise), len(exercise.results)
+    right = [_as_results(exercise.reference(*one), count) for one in given]
+    for hint, change in _RESULTS:
+        for n, name in enumerate(exercise.results):
+            yield f"{name} {hint}", partial(_with_changed, right, change, n)
+    yield "the results are in the wrong order", lambda k: right[k][::-1]
+    for hint, wrong in mistakes.items():
+        yield hint, partial(_results_of, wrong, given, count)
+    names = [*inspect.signature(answer).parameters]
+    if len(names) != len(given[0]):
+        names = [*inspect.signature(exercise.reference).parameters][: len(given[0])]
+    changed = [[*_changes(names, one)] for one in given]
+    for n, (hint, _) in enumerate(changed[0]):
+        yield hint, partial(_results_of, exercise.reference, [one[n][1] for one in changed], count)
+    if all(isinstance(value, Pose) for value in given[0]):
+        hint = "poses are subtracted number by number: see one from the other"
+        yield hint, partial(_results_of, _subtracted, given, count)
+
+
+def _with_changed(right: list[list[Array]], change: Callable[[Array], Array], n: int, k: int) -> list[Array]:
+    return [change(part) if m == n else part for m, part in enumerate(right[k])]
+
+
+def _results_of(function: Callable[..., Any], given: list[tuple[Any, ...]], count: int, k: int) -> list[Array]:
+    return _as_results(function(*given[k]), count)
+
+
+def _explains(wrong: Callable[[int], list[Array]], found: list[list[Array]], right: list[list[Array]]) -> bool:
+    """Whether an answer is this wrong one in all cases, and not the right one."""
+    try:
+        with np.errstate(all="ignore"):
+            return all(_same(found[k], wrong(k)) for k in range(CASES)) and not all(map(_same, found, right))
+    except Exception:  # an argument that was changed is no argument any more
+        return False
+
+
+def _inverted(row: Array) -> Array:
+    return Pose(*row).inverse().array()
+
+
+_RESULTS: tuple[tuple[str, Callable[[Array], Array]], ...] = (
+    ("has the wrong sign", lambda b: -b),
+    ("is transposed", lambda b: b.swapaxes(-1, -2)),
+    ("is the root of what is right", np.sqrt),
+    ("is the square of what is right, a root is missing", np.square),
+    ("is upside down", np.reciprocal),
+    ("is in degrees", np.degrees),
+    ("is in the wrong order, from the last to the first", lambda b: b[::-1]),
+    ("has x and y exchanged", lambda b: b[:, ::-1]),
+    ("is the motion back: from which frame is it seen?", _inverted),
+    ("is the opposite, what is true is false", np.logical_not),
+)
+"""what an answer may have done to a result"""
+
+
+def _changes(names: Sequence[str], given: tuple[Any, ...]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Arguments that an answer may have mistaken the given ones for."""
+    for n, name in enumerate(names):
+        for hint, value in _variants(given[n]):
+            yield hint.format(name), (*given[:n], value, *given[n + 1 :])
+    for m, n in itertools.combinations(range(len(names)), 2):
+        exchanged = [*given]
+        exchanged[m], exchanged[n] = given[n], given[m]
+        yield f"{names[m]} and {names[n]} are exchanged", tuple(exchanged)
+
+
+def _variants(value: Any) -> Iterator[tuple[str, Any]]:
+    """What an argument may be mistaken for, with a hint that has a place for its name."""
+    if isinstance(value, Pose):
+        x, y, theta = value.array().tolist()
+        yield "the heading of {} is left out", Pose(x, y, 0.0)
+        yield "the heading of {} turns the wrong way: a sign of an angle", Pose(x, y, -theta)
+        yield "the position of {} is left out", Pose(0.0, 0.0, theta)
+        yield "the position of {} has the wrong sign", Pose(-x, -y, theta)
+        yield "{} is inverted, or is not: from which frame is it seen?", value.inverse()
+        yield "{} is left out", Pose()
+        return
+    if isinstance(value, list):
+        for each in zip(*map(_variants, value), strict=True):
+            yield each[0][0], [one for _, one in each]
+        return
+    array = np.asarray(value)
+    if array.dtype == np.float64:
+        yield "{} is left out", 0.0 * array
+        yield "{} has the wrong sign", -array
+        yield "{} is rounded down", np.floor(array)
+        is_angle = np.abs(array).max() < 2.0 * math.pi
+        yield "{} is in radians already", np.radians(array) if is_angle else array
+        yield "{} is converted to degrees, and is asked for in radians", np.degrees(array) if is_angle else array
+    if array.ndim >= 2:
+        yield "{} is transposed", array.swapaxes(-1, -2)
+        yield "columns of {} are exchanged", array[..., ::-1]
+    if array.ndim >= 2 and array.shape[-1] == array.shape[-2] and array.dtype == np.float64:
+        yield "{} is inverted, or is not", np.linalg.inv(array)
+        yield "the correlations within {} are left out", array * np.eye(array.shape[-1])
+
+
+def _subtracted(*poses: Pose) -> Array:
+    rows = [pose.array() for pose in poses]
+    off = rows[-2 if len(rows) > 2 else -1] - rows[0] - (rows[2] if len(rows) > 2 else 0.0)
+    off[2] = wrap_angle(off[2])
+    return np.asarray(off)
+
+
+def _factor(names: tuple[str, ...], found: list[list[Array]], right: list[list[Array]]) -> str:
+    """What is off in all numbers of a result alike, in all cases; empty if nothing."""
+    for n, name in enumerate(names):
+        pairs = [
+            (a[n], b[n]) for a, b in zip(found, right, strict=True) if len(a) == len(b) and a[n].shape == b[n].shape
+        ]
+        if len(pairs) < CASES or all(_near(a, b).all() for a, b in pairs):
+            continue
+        turns = np.concatenate([np.ravel(a - b) for a, b in pairs]) / (2.0 * math.pi)
+        if np.allclose(turns, np.round(turns), atol=_TOLERANCE):
+            return f"{name} is off by whole turns, an angle is not wrapped"
+        ratios = [float(np.vdot(a, b) / np.vdot(b, b)) if np.any(b) else 0.0 for a, b in pairs]
+        alike = all(_near(a, ratio * b).all() for ratio, (a, b) in zip(ratios, pairs, strict=True))
+        if alike and all(ratios) and (pairs[0][0].size > 1 or np.ptp(ratios) < _TOLERANCE):
+            return f"{name} is {ratios[0]:.3g} times what is right"
+        return ""
+    return ""
+
+
+def _as_results(returned: Any, count: int) -> list[Array]:
     return _as_arrays((returned,) if count == 1 else returned)
 
 
@@ -142,21 +260,4 @@ def _difference(names: tuple[str, ...], found: list[Array], right: list[Array]) 
     entry = np.unravel_index(int(np.argmax(np.nan_to_num(np.abs(a - b), nan=0.0))), a.shape)
     where = f"{name} [{', '.join(map(str, entry))}]" if a.shape else name
     off = f"{where} is {a[entry]:.6g}, off by {abs(a[entry] - b[entry]):.3g}"
-    if a.size > 1:
-        off += f"; {np.count_nonzero(_near(a, b))} of {a.size} numbers are right"
-    return f"{_pattern(name, a, b)}{off}"
-
-
-def _pattern(name: str, a: Array, b: Array) -> str:
-    """What is off in all numbers alike, if anything."""
-    turns = (a - b) / (2.0 * math.pi)
-    ratio = float(np.vdot(a, b) / np.vdot(b, b)) if np.any(b) else 0.0
-    if _near(a, -b).all():
-        return f"{name} has the wrong sign: "
-    if a.ndim == 2 and a.shape[0] == a.shape[1] and _near(a, b.T).all():
-        return f"{name} is transposed: "
-    if np.allclose(turns, np.round(turns), atol=_TOLERANCE):
-        return f"{name} is off by whole turns, an angle is not wrapped: "
-    if a.size > 1 and ratio and _near(a, ratio * b).all():
-        return f"{name} is {ratio:.3g} times what is right: "
-    return ""
+    return f"{off}; {np.count_nonzero(_near(a, b))} of {a.size} numbers are right" if a.size > 1 else off

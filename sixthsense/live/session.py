@@ -139,7 +139,8 @@ class Session:
         scans, self._robot, found = self._first_messages(drive)
         stamps = sorted(scans)
         if take_turns([scans[stamp] for stamp in stamps]):
-            raise InputError(topics.scan, f"found scans of two lasers in turn, all of {self._laser.frame}", "one laser")
+            lasers = f"found scans of two lasers in turn, all of frame {self._laser.frame}"
+            raise InputError(topics.scan, lasers, "one laser")
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.upside_down ^= laser.mirrored
