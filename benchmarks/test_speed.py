@@ -21,7 +21,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.motion import Odometry
 from sixthsense.core.ray_casting import beams_of, cast_among, cast_rays
 from sixthsense.evaluation.coverage import visible_area
-from sixthsense.navigation.gridsearch import shortest_path
+from sixthsense.navigation.gridsearch import cheapest_path
 from sixthsense.simulation.scene import Scene, load_scene
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.features import extract
@@ -124,9 +124,9 @@ def random_grid(seed: int, size: int = 1000) -> NDArray[np.bool_]:
 @pytest.mark.parametrize("is_ours", [True, False], ids=["ours", "peer"])
 def test_astar(benchmark: Any, is_ours: bool) -> None:
     blocked = random_grid(0)
-    last = len(blocked) - 1
+    last, costs = len(blocked) - 1, np.where(blocked, np.inf, 1.0).astype(np.float32)
     if is_ours:
-        found = benchmark(lambda: shortest_path(blocked, (0, 0), (last, last))[1])
+        found = benchmark(lambda: cheapest_path(costs, (0, 0), (last, last))[1])
     else:
         found = benchmark.pedantic(lambda: search_by_heap(blocked, 0, blocked.size - 1), rounds=3)
     assert found == pytest.approx(search_by_heap(blocked, 0, blocked.size - 1), abs=1e-6)
