@@ -90,7 +90,7 @@ def _named(header: Sequence[bytes], width: int) -> dict[str, int] | None:
             columns.setdefault(part, place)
         for form in (_SPACE, _PLANE):
             if len(names) == width and all(part in columns for part in form):
-                return {part: columns[part] for part in form}
+                return {part: columns[part] for part in ("stamp", *form) if part in columns}
     return None
 
 
@@ -123,7 +123,7 @@ def _usable(
         except InputError as error:
             refused.append(str(error.at(error.where.removeprefix(f"{record.path} "))))
             continue
-        good.append(record)
+        good.append(Record(record.path, record.line, [record.fields[k] for k in places]))
         rows.append([*stamp, *row])
     if not good:
         raise InputError("", f"{found[0].path} {refused[0]}")

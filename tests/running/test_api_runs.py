@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -83,19 +81,3 @@ def test_an_estimator_and_a_planner_of_ones_own_are_used_by_their_names(tmp_path
     assert by_path.trace.config.estimator == config.estimator
     with pytest.raises(ss.InputError, match=r"planner: found .*<lambda>, allowed: a class or function at the top"):
         ss.run("rectangle", planner=lambda rng: AStar())
-
-
-def test_where_nobody_looks_on_a_run_says_nothing_and_where_it_shall_it_shows_a_bar():
-    code = "import sixthsense as ss; ss.run('rectangle', task='tour', max_time=3.0, progress={})"
-
-    def said(progress, **env):
-        done = subprocess.run(
-            [sys.executable, "-c", code.format(progress)], capture_output=True, text=True, env=os.environ | env
-        )
-        assert done.returncode == 0 and done.stdout == ""
-        return done.stderr
-
-    assert said(None) == ""
-    bar = said(True)
-    assert "rectangle, tour" in bar and "of 3 s" in bar
-    assert said(True, TQDM_DISABLE="1") == ""
