@@ -104,7 +104,7 @@ def test_the_example_of_each_seam_is_checked_run_replayed_compared_and_sent_to_t
 
 BREACHES = {
     "planner": ("import numpy as np, sixthsense as ss\n\n\nclass Bad:\n    def __init__(self, rng): pass\n"
-                "    def plan(self, space, start, goal): return ss.Plan.along([[1, 2, 3]] * 2, 0, 0.0)\n",
+                "    def plan(self, space, start, goal): return ss.Plan('found', np.ones((2, 3)), 0.0, 0, 0.0)\n",
                 {"task": "goal", "goal": (1.4, 0.5)}, r"plan: path_world has shape \(2, 3\)"),
     "explorer": ("class Bad:\n    def __init__(self, rng): pass\n"
                  "    def next_target(self, view): return view.pose\n",
