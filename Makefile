@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all interop coverage notebooks check kernels bench evidence guard pictures pictures-check docs clean
+.PHONY: run test test-all interop coverage notebooks check mutants kernels bench evidence guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -51,6 +51,9 @@ check: $(VENV)/installed  ## style, types, imports, structure and budget of code
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -q -n 0 tests/test_house.py
+
+mutants: $(VENV)/installed  ## FILE=, a file or a folder of the package: which small wrong changes of it does no test see? SINCE=REV SAMPLE=N SEED=S
+	$(BIN)/python tests/mutants.py $(FILE) $(if $(SINCE),--since $(SINCE)) $(if $(SAMPLE),--sample $(SAMPLE)) $(if $(SEED),--seed $(SEED))
 
 bench: $(VENV)/installed kernels  ## speed of the hot loops beside peers and limits; 2 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/suite.py speed
