@@ -270,7 +270,7 @@ def _robotlaser(record: Record, units: Units) -> _Line:
     start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
     max_range *= units.ranges
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
-        what = f"angles of {start:.6g} to {start + fov:.6g}{', which are degrees' * (fov > 2.0 * math.pi)}"
+        what = f"angles of {start:.6g} to {start + fov:.6g}{', which are degrees' if fov > 2.0 * math.pi else ''}"
         record.fail(f"found {what}, allowed: radians of up to a full circle, or `units` angles=degrees")
     geometry = _Geometry(count, start, fov, resolution, max_range if max_range > 0.0 else math.inf)
     return _poses(record, -14, -8, units), geometry, _ranges(record, _HEAD, count, units)

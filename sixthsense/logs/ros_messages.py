@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config.errors import InputError
-from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
@@ -128,6 +127,9 @@ def scan(
         raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {MOST_BEAMS}")
     if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
         raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
+    if abs(step) * (count - 1) > 3.0 * math.pi and (share := angles_disagree(message)) > 1.0:
+        found = f"found an angle_increment that spans {share:.3g} times what angle_min and angle_max do"
+        raise ValueError(f"{found}, allowed: at most a full turn")
     check_bearings(first, first + step * (count - 1))
     if high is None and max_range is None:
         raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")
@@ -176,9 +178,3 @@ def spatial_covariance(cov: Array) -> Array:
     cov6 = np.zeros((6, 6))
     cov6[_PLANE] = cov
     return cov6
-
-
-def planar_covariance(name: str, message: Any) -> Array:
-    """(3, 3) of x, y, yaw in a message whose pose has a covariance; ValueError naming it if it is invalid."""
-    cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
-    return check_covariance(name, cov6[_PLANE])

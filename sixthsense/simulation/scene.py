@@ -40,6 +40,7 @@ __all__ = ["InputError", "Scene", "check_placement", "load_scene", "shipped_scen
 BODY_M = 0.25
 """radius of the disc that a person's body is"""
 _WALKING_CELL_M = 0.1
+_MOST_WALKING_CELLS = 25_000_000
 _FINEST_M, _MOST_CELLS = 0.02, 5_000_000
 """of the grid in which places are checked: in a large scene its cells are larger"""
 _SOLID_SHARE = 0.1
@@ -165,7 +166,9 @@ class FreeSpace:
         """Among walls and glass, in an area that holds them and `places` (N, 2)."""
         corners = np.concatenate([scene.solid.reshape(-1, 2), places])
         low, high = corners.min(axis=0), corners.max(axis=0)
-        cell_m = max(_FINEST_M, math.sqrt(float(np.prod(high - low + 2.0 * radius_m)) / _MOST_CELLS))
+        sides = high - low + 2.0 * radius_m
+        # A long and thin area has cells in its margins above all.
+        cell_m = max(_FINEST_M, math.sqrt(float(np.prod(sides)) / _MOST_CELLS), 8.0 * float(sides.max()) / _MOST_CELLS)
         margin = radius_m + 2.0 * cell_m
         self.radius_m = radius_m
         self.grid = SceneGrid(scene.solid, low - margin, high + margin, cell_m, margin)
@@ -205,7 +208,8 @@ class FreeSpace:
 def walking_grid(scene: Scene) -> tuple[SceneGrid, Bools]:
     """The grid of the region in which people walk, and (H, W) the cells in whose centres a body fits."""
     x0, y0, x1, y1 = scene.region
-    grid = SceneGrid(scene.solid, np.array([x0, y0]), np.array([x1, y1]), _WALKING_CELL_M, BODY_M + _WALKING_CELL_M)
+    cell_m = max(_WALKING_CELL_M, math.sqrt((x1 - x0) * (y1 - y0) / _MOST_WALKING_CELLS))
+    grid = SceneGrid(scene.solid, np.array([x0, y0]), np.array([x1, y1]), cell_m, BODY_M + cell_m)
     return grid, grid.clearance_m >= BODY_M
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.logs.diagnose import beside_wheels
+from sixthsense.logs.finding import Finding
 from sixthsense.verdict.evidence import Evidence, share
 from sixthsense.verdict.probability import MIRROR_SIGMAS
 from sixthsense.verdict.verdict import Cause
@@ -46,7 +47,8 @@ def _mirrored(evidence: Evidence) -> Iterator[Cause]:
     else:
         return
     begin, end = float(evidence.stamps_s[first]), float(evidence.stamps_s[last])
-    told = f"the wheels turn against the scans from {begin:.0f} to {end:.0f} s; is the laser mirrored?"
+    asked = "is the laser mirrored? Or do the wheels report turns with the wrong sign?"
+    told = f"the wheels turn against the scans from {begin:.0f} to {end:.0f} s; {asked}"
     yield Cause("mirrored", told, begin, end, _NOWHERE)
 
 
@@ -58,14 +60,25 @@ def _clocks(evidence: Evidence) -> Iterator[Cause]:
         yield _whole("clocks", told, evidence)
 
 
+def remarks_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
+    """What is odd beside a map that is right: wheels that report other distances than the scans."""
+    kinds = ("odometry_scale", "wheels_reversed")
+    return tuple(_whole(each.kind, str(each), evidence) for each in _beside(evidence, found) if each.kind in kinds)
+
+
 def _mount(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
-    mount, turns = evidence.mount, evidence.turns
-    if mount is None or turns is None or turns.correlation < 0.7:
-        return
-    scan = next((one for one in found.scans if one is not None), None)
-    for finding in beside_wheels(mount, Pose() if scan is None else scan.T_robot_laser):
+    for finding in _beside(evidence, found):
         if finding.kind != "odometry_scale":
             yield _whole(finding.kind, str(finding), evidence)
+
+
+def _beside(evidence: Evidence, found: Witnesses) -> list[Finding]:
+    """What motions by scans and by wheels say of both, where they turn alike."""
+    mount, turns = evidence.mount, evidence.turns
+    if mount is None or turns is None or turns.correlation < 0.7:
+        return []
+    scan = next((one for one in found.scans if one is not None), None)
+    return beside_wheels(mount, Pose() if scan is None else scan.T_robot_laser)
 
 
 def _whole(name: str, told: str, evidence: Evidence) -> Cause:

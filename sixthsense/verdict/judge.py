@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sixthsense.verdict.causes import causes_of
+from sixthsense.verdict.causes import causes_of, remarks_of
 from sixthsense.verdict.evidence import Evidence, evidence_of, share
 from sixthsense.verdict.probability import (
     FEATURES,
@@ -43,7 +43,7 @@ def judge(found: Witnesses) -> Verdict:
     reason = _unjudged(evidence, found) if level == "good" else ""
     if reason:
         return Verdict("unjudged", None, keyframes, (), dict(_numbers(evidence)), reason)
-    causes = () if level == "good" or not len(keyframes) else causes_of(evidence, found)
+    causes = (remarks_of if level == "good" else causes_of)(evidence, found) if len(keyframes) else ()
     return Verdict(level, probability, keyframes, causes, dict(_numbers(evidence)))
 
 

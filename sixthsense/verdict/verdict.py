@@ -15,7 +15,8 @@ class Cause(NamedTuple):
     """Something that makes a map wrong, where the evidence tells it."""
 
     name: str
-    """`mirrored`, `mount`, `clocks`, `slip`, `carried`, `alike`, `blind`, `untied`, `wheels` or `doubled`"""
+    """`mirrored`, `mount`, `clocks`, `slip`, `carried`, `alike`, `blind`, `untied`, `wheels` or `doubled`;
+    of a good map `odometry_scale` or `wheels_reversed`"""
     sentence: str
     """what was found, with time and place"""
     from_s: float
@@ -36,7 +37,7 @@ class Verdict:
     keyframes: Array
     """(K,) that each keyframe's pose is off by more than 0.5 m or 10 degrees relative to those 10 m before it"""
     causes: tuple[Cause, ...]
-    """the likeliest first; none where the evidence tells none"""
+    """the likeliest first; none where the evidence tells none; of a good map what is odd with its wheels alone"""
     evidence: Mapping[str, float]
     """what was found, by name; what is not known is left out"""
     reason: str = ""

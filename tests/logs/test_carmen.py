@@ -92,14 +92,6 @@ def test_stamps_in_a_part_of_a_second_are_read_as_that_with_a_note(tmp_path: Pat
     assert [finding.place for finding in log.found if finding.kind == "stamps_unit"] == [name] * (parts > 1)
 
 
-def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:
-    for seed in range(10):
-        own = np.random.default_rng(seed).uniform(0.0, 1.0, 50).round(2)
-        log = read(tmp_path, "".join(flaser(stamp) for stamp in own), LASER)
-        assert np.all(np.diff([tick.stamp_ns for tick in log.ticks]) > 0)
-        assert [tick.log_stamp_s for tick in log.ticks] == own.tolist()
-
-
 @pytest.mark.parametrize("jump", [Pose(100.0, 0.0, 0.0), Pose(3.0, -2.0, 0.7), Pose(-1.0, 0.3, 2.0)])
 def test_odometry_that_jumps_goes_on_from_where_it_was(tmp_path: Path, jump: Pose) -> None:
     poses = path_of(40)
@@ -217,15 +209,6 @@ def test_headings_along_which_a_robot_goes_only_in_degrees_are_refused(
         settled(open_log(file), preset("log"))
     log = open_log(file, units=["headings=degrees"])
     assert log.ticks[17].odometry.theta == pytest.approx(Pose(0.0, 0.0, 0.4 + 0.07 * 17).theta, abs=1e-5)
-
-
-def test_the_configuration_of_a_replay_reads_the_same_log_again(tmp_path: Path) -> None:
-    mount = Pose(-0.04, 0.0, 0.1)
-    text = "".join(flaser(k, [1.0, 2.0, 3.0, 4.0], p, mount) for k, p in enumerate(path_of(5)))
-    log = read(tmp_path, text)
-    again = read(tmp_path, text, log.laser)
-    assert again.laser == log.laser
-    assert all(np.array_equal(a.bearings, b.bearings) for a, b in zip(again.scans, log.scans, strict=True))
 
 
 @pytest.mark.parametrize("max_range", [4.0, 80.0])

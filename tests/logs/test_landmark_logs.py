@@ -133,15 +133,6 @@ def test_the_command_replays_a_log_and_then_its_own_record_to_the_same_estimates
         assert (tmp_path / "two" / name).read_text() == (tmp_path / "one" / name).read_text()
 
 
-@pytest.mark.parametrize(("name", "text", "said"), [
-    ("a.g2o", "VERTEX_XY 3 0.5 0.6\n", "found no edge between poses"),
-    ("a.xyz", "1 2 3\n", "found no known kind of log"),
-])  # fmt: skip
-def test_a_log_with_nothing_to_read_is_refused(name, text, said, tmp_path):
-    with pytest.raises(InputError, match=said):
-        open_log(graph(text, tmp_path, name))
-
-
 def test_a_mrclam_folder_is_refused_without_the_robot_that_is_wanted_one_of_several_named_or_noise(tmp_path):
     assumed = merge(AssumedConfig(), {"laser": {"range_m": 0.0}})
     for given, said in (({"robot": 7}, "found robots 3, allowed: one"), ({"assumed": assumed}, "range_m 0, allo")):

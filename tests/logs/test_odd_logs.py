@@ -103,6 +103,8 @@ def in_turn(n):
 # name: keywords of the bag, what is said
 REFUSED = {
     "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or `units` angles="),
+    "increment of twice": (
+        {"scan": lambda n, says: {**says, "first": -3.0, "step": 0.05, "last": 3.0}}, "spans 1.99 times"),
     "millimetres": ({"scan": at(every, "unit", 1000.0)}, "or `units` ranges=mm"),
     "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or `units` odometry=mm"),
     "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by `topics` /rear or /scan"),

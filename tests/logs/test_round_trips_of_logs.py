@@ -230,10 +230,8 @@ def test_a_mrclam_folder_gives_the_way_the_truth_and_landmarks_by_depth_bearing_
     (folder / "Robot3_Measurement.dat").write_text("".join(line("1000.600", *row) for row in seen))
     noise = {"laser": {"range_m": 0.2, "bearing_rad": 0.03}, "landmark_floor_m": 0.05}
     ticks = open_log(folder, assumed=merge(AssumedConfig(), noise)).ticks
-    assert [tick.stamp_ns - 1000 * S for tick in ticks] == [
-        k * S // 20 for k in (4, 9, 12, 14, 19)
-    ]  # commands show 0.2 s later
-
+    stamps = [k * S // 20 for k in (4, 9, 12, 14, 19)]  # commands show 0.2 s later
+    assert [tick.stamp_ns - 1000 * S for tick in ticks] == stamps
     for tick in ticks:
         s = 1e-9 * (tick.stamp_ns - 1000 * S)
         share = (s + 0.1) / 1.2

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Pose
-from sixthsense.core.source import Tick
 from sixthsense.logs.joining import Odometry
-from sixthsense.logs.log import Log, Relations
-from sixthsense.logs.replay_input import relations_of
 from sixthsense.logs.stamps import ascending, matched, passed_s, unit_of
 
 
@@ -43,19 +38,3 @@ def test_without_a_time_no_motion_is_a_jump_and_with_one_it_is():
     poses = np.array([[1.3 * k, 0.2, 0.1 * k] for k in range(9)])
     assert not len(Odometry(np.arange(70, 79), poses).jumps())
     assert len(Odometry(20_000_000 * np.arange(9), poses).jumps()) == 8
-
-
-def test_relations_with_rounded_stamps_are_of_the_nearest_scans_and_how_many_is_said():
-    stamps = 1.2e9 + 0.21 * np.arange(50) + 4.4e-6
-    log = Log([Tick(round(1e9 * at), Pose(0.1 * k), log_stamp_s=at) for k, at in enumerate(stamps)])
-    given = np.column_stack([stamps[:40].round(5), stamps[7:47].round(5)])
-    given[3, 1] += 20.0
-    notes: list[str] = []
-    found = relations_of(log, Relations(given, np.arange(120.0).reshape(40, 3)), "some.relations", notes)
-    kept = np.delete(np.arange(40), 3)
-    assert np.array_equal(found.stamps, np.column_stack([stamps[kept], stamps[kept + 7]]))
-    assert found.poses[3].tolist() == [12.0, 13.0, 14.0]
-    assert notes[0].startswith("39 of 40 relations are of scans, 4.")
-    assert notes[0].endswith("1 name stamps of no scan and are left out")
-    with pytest.raises(InputError, match="found no relation between scans of the log"):
-        relations_of(log, Relations(given + 1e3, np.zeros((40, 3))), "x", [])
