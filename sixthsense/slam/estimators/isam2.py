@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import innovations_of, seen_from_each
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -43,8 +43,9 @@ from sixthsense.slam.estimators.isam2_factors import (
     to_pose,
     to_pose2,
     wall_factor,
+    wall_frame,
 )
-from sixthsense.slam.estimators.isam2_solver import Landmarks, Solution, Solver, Unsolved
+from sixthsense.slam.estimators.isam2_solver import Kind, Solution, Solver, Unsolved, Variables
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
@@ -72,11 +73,11 @@ class ISAM2:
         """number of poses, solved and waiting"""
         self._last_solved = 0
         """key of the last solved pose"""
-        self._landmarks = Landmarks()
+        self._variables = Variables()
         self._chain = Chain()
         begin = start, check_covariance("start_cov", start_cov)
-        self._solution = Solution(self._solver, self._landmarks, self._chain, begin)
-        self._observations = Observations(self._landmarks, self._solution, loss_of(config))
+        self._solution = Solution(self._solver, self._variables, self._chain, begin)
+        self._observations = Observations(self._variables, self._solution, loss_of(config))
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -95,8 +96,8 @@ class ISAM2:
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: one factor of all of them."""
-        check_prior(prior, bool(self._landmarks.keys) or self._poses > 0 or self._pending is not STANDSTILL)
-        self._prior = PriorFactor.begun(prior, self._solver, self._landmarks)
+        check_prior(prior, bool(self._variables.keys) or self._poses > 0 or self._pending is not STANDSTILL)
+        self._prior = PriorFactor.begun(prior, self._solver, self._variables)
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -167,14 +168,14 @@ class ISAM2:
         """Remove landmarks with all their factors: their information about the poses is lost."""
         gone = set(ids)
         for i in gone:
-            self._landmarks.keys[i]  # KeyError before anything is removed
+            self._variables.keys[i]  # KeyError before anything is removed
         if not gone:
             return
         factors = self._observations.factors(gone)
         if factors:
             self._remove(factors)
-        self._prior = self._prior and self._prior.without(gone, self._solver, self._landmarks)
-        self._landmarks.drop(gone)
+        self._prior = self._prior and self._prior.without(gone, self._solver, self._variables)
+        self._variables.drop(gone)
         if self._solution.keys:
             self._solution.update(self._last_solved)
 
@@ -182,7 +183,7 @@ class ISAM2:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         pose, cov = self._solution.after(self._pending), self._solution.propagated(self._solution.cov(), self._pending)
         landmarks = self._solution.landmarks()
-        return Estimate(pose, cov, landmarks.ids.copy(), landmarks.means.copy(), landmarks.walls.copy())
+        return Estimate(pose, cov, landmarks.ids, landmarks.means.copy(), landmarks.walls)
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
@@ -217,7 +218,7 @@ class ISAM2:
         return float(self._solver.isam.getFactorsUnsafe().error(self._solver.isam.calculateEstimate()))
 
     def _add_pose(self, guess: Pose) -> None:
-        key = X(self._poses)
+        key = self._variables.add_pose(self._poses)
         self._unsolved.poses.append(guess)
         self._unsolved.values.insert(key, to_pose2(guess))
         if self._poses == 0:
@@ -271,7 +272,7 @@ class ISAM2:
     def _adds_nothing(self, guess: Pose, observations: Mapping[LandmarkId, Observation]) -> bool:
         """Whether the observations from a pose, of which there are some, say next to nothing of the landmarks."""
         least = self._config.least_gain
-        if not least or self._solution.wheels is not None or not observations.keys() <= self._landmarks.keys.keys():
+        if not least or self._solution.wheels is not None or not observations.keys() <= self._variables.keys.keys():
             return False
         return self._solution.map_gain(guess, observations, self._pending) < least
 
@@ -294,7 +295,7 @@ class ISAM2:
         First observations are kept: without it a wall's frame could slide along the wall.
         """
         while True:
-            ids, means = self._landmarks.ids, self._solution.landmarks().means
+            ids, means = self._variables.ids, self._solution.landmarks().means
             squared, factors = self._observations.squared_residuals(self.trajectory(), ids, means)
             if not len(squared) or squared.max() <= self._reject_gate:
                 return
@@ -309,8 +310,8 @@ _FIELDS = (("pose", np.int64), ("id", np.int64), ("factor", np.int64), ("wall", 
 class Observations:
     """The observations with the numbers of their factors, a row each, in the order of time."""
 
-    def __init__(self, landmarks: Landmarks, solution: Solution, loss: Loss | None) -> None:
-        self._landmarks, self._solution, self._loss = landmarks, solution, loss
+    def __init__(self, landmarks: Variables, solution: Solution, loss: Loss | None) -> None:
+        self._variables, self._solution, self._loss = landmarks, solution, loss
         self._rows = np.zeros(256, dtype=list(_FIELDS))
         self._count = 0
 
@@ -318,14 +319,22 @@ class Observations:
         """Add the factors of what is observed from a pose to what waits, and the variables that they need."""
         self._solution.landmarks()  # as they are solved, before there are new ones
         for i, observation in observations.items():
-            is_new = i not in self._landmarks.keys
+            is_new = i not in self._variables.keys
             if is_new:
-                self._landmarks.add(i, guess, observation, waiting.values)
+                self._add_landmark(i, guess, observation, waiting.values)
             waiting.graph.add(self._factor(i, (int(X(pose)), guess), observation, is_new, waiting.values))
             self._append(pose, i, observation, is_new)
 
+    def _add_landmark(self, i: LandmarkId, guess: Pose, seen: Observation, values: gtsam.Values) -> None:
+        """Add a landmark that is observed from `guess`, and its initial value to `values`."""
+        if seen.is_wall:
+            values.insert(self._variables.add_landmark(i, Kind.WALL), to_pose2(wall_frame(guess, seen)))
+        else:
+            bearing, distance, _ = seen.bearing_range()
+            values.insert(self._variables.add_landmark(i, Kind.POINT), guess @ (distance * rotation(bearing)[:, 0]))
+
     def solved(self, factors: Sequence[int]) -> None:
-        """Take in the numbers of the factors that were added last."""
+        """Record the numbers of the factors that were added last."""
         self._rows["factor"][self._count - len(factors) : self._count] = factors
 
     def factors(self, ids: Collection[LandmarkId]) -> list[int]:
@@ -373,18 +382,13 @@ class Observations:
     def _factor(
         self, i: LandmarkId, pose: tuple[int, Pose], observation: Observation, is_new: bool, values: gtsam.Values
     ) -> gtsam.NonlinearFactor:
-        key = self._landmarks.keys[i]
+        key = self._variables.keys[i]
         if not observation.is_wall:
             return seen_point(key, pose[0], observation, self._solution.sensor, self._loss)
         if self._solution.wheels is not None and not is_new:
             return exact_factor(key, pose[0], observation, self._loss)
-        return wall_factor((key, self._frame(key, values)), pose, observation, is_new, self._loss)
-
-    def _frame(self, key: int, waiting: gtsam.Values) -> Pose:
-        """The frame of a wall as far as it is known."""
-        if waiting.exists(key):
-            return to_pose(waiting.atPose2(key))
-        return Pose(*self._landmarks.frames[key])
+        frame = to_pose(values.atPose2(key)) if is_new else Pose.from_array(self._variables.frames[i])
+        return wall_factor((key, frame), pose, observation, is_new, self._loss)
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,7 +402,7 @@ class PriorFactor:
     """of the factor"""
 
     @classmethod
-    def begun(cls, prior: LandmarkPrior, solver: Solver, landmarks: Landmarks) -> PriorFactor | None:
+    def begun(cls, prior: LandmarkPrior, solver: Solver, landmarks: Variables) -> PriorFactor | None:
         """Add the landmarks, if there are any, to an empty solver, and to `landmarks`."""
         if not len(prior.ids):
             return None
@@ -406,16 +410,15 @@ class PriorFactor:
         means, axes = lines(all_frames)
         for k, i in enumerate(prior.ids.tolist()):
             is_wall = bool(prior.walls[k])
-            landmarks.next_key(i, is_wall)
+            landmarks.add_landmark(i, Kind.WALL if is_wall else Kind.POINT)
             landmarks.by_tangent[i] = axes[k] if is_wall else np.eye(2)
             if is_wall:
-                frames[i] = all_frames[k]
-                landmarks.frames[landmarks.keys[i]] = all_frames[k].tolist()
+                frames[i] = landmarks.frames[i] = all_frames[k]
         landmarks.means = np.where(prior.walls[:, None], means, prior.landmarks)
         factor, values = _factor_of(prior, frames, landmarks)
         return cls(prior, frames, solver.update(graph_of(factor), values)[0])
 
-    def without(self, ids: Collection[LandmarkId], solver: Solver, landmarks: Landmarks) -> PriorFactor | None:
+    def without(self, ids: Collection[LandmarkId], solver: Solver, landmarks: Variables) -> PriorFactor | None:
         """Leave the marginal covariance of the landmarks that are not in `ids`; None if none is left."""
         if not np.isin(self.prior.ids, list(ids)).any():
             return self
@@ -429,7 +432,7 @@ class PriorFactor:
 
 
 def _factor_of(
-    prior: LandmarkPrior, frames: Mapping[LandmarkId, Array], landmarks: Landmarks
+    prior: LandmarkPrior, frames: Mapping[LandmarkId, Array], landmarks: Variables
 ) -> tuple[gtsam.NonlinearFactor, gtsam.Values]:
     """The factor, and the earlier landmarks, about which it is quadratic.
 

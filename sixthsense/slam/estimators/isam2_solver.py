@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any, Literal, cast
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, W, X
+from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 
 from sixthsense.config import ISAM2Config
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, propagated
 from sixthsense.core.parameters import P, ParameterEstimate
@@ -32,7 +33,6 @@ from sixthsense.slam.estimators.isam2_factors import (
     parameters_factor,
     to_pose,
     to_pose2,
-    wall_frame,
 )
 
 
@@ -50,47 +50,82 @@ class Unsolved:
     """which of them are by a link"""
 
 
-@dataclass(slots=True)
-class Landmarks:
-    """Landmarks and their variables in the graph, in the order of the first observation."""
+_POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
 
+
+class Kind(Enum):
+    """What a variable of the graph is."""
+
+    POSE = "x"
+    WALL = "w"
+    POINT = "l"
+
+
+@dataclass(slots=True)
+class Variables:
+    """The variables of the graph but those of parameters, and landmarks in the order of the first observation."""
+
+    table: dict[int, tuple[Kind, int]] = field(default_factory=dict)
+    """kind of each key, and its update or landmark"""
     keys: dict[LandmarkId, int] = field(default_factory=dict)
-    ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """(n,)"""
-    walls: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-    """(n,) which of them are walls"""
+    """of the landmarks"""
+    means: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) of the landmarks at the last solution"""
+    frames: dict[LandmarkId, Array] = field(default_factory=dict)
+    """(3,) x, y and theta of the walls at the last solution"""
     by_tangent: dict[LandmarkId, Array] = field(default_factory=dict)
     """(2, 3) or (2, 2) Jacobian of a landmark by its variable's tangent in GTSAM"""
-    means: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(n, 2) at the last solution"""
-    frames: dict[int, list[float]] = field(default_factory=dict)
-    """x, y and theta of the walls at the last solution, by their keys"""
     made: int = 0
     """number of landmarks so far, forgotten ones included"""
 
-    def add(self, i: LandmarkId, guess: Pose, observation: Observation, values: gtsam.Values) -> None:
-        """Add a landmark that is observed from `guess`, and its initial value to `values`."""
-        if observation.is_wall:
-            values.insert(self.next_key(i, True), to_pose2(wall_frame(guess, observation)))
-        else:
-            bearing, distance, _ = observation.bearing_range()
-            values.insert(self.next_key(i, False), guess @ (distance * rotation(bearing)[:, 0]))
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """(n,) of the landmarks."""
+        return np.array(list(self.keys), dtype=np.int64)
 
-    def next_key(self, i: LandmarkId, is_wall: bool) -> int:
-        """The key of a landmark that is new."""
-        self.keys[i] = int(W(self.made) if is_wall else L(self.made))
-        self.ids, self.walls = np.append(self.ids, i), np.append(self.walls, is_wall)
+    @property
+    def walls(self) -> NDArray[np.bool_]:
+        """(n,) which landmarks are walls."""
+        return np.array([self.table[key][0] is Kind.WALL for key in self.keys.values()], dtype=np.bool_)
+
+    def add_pose(self, update: int) -> int:
+        """Add the pose of an update; its key."""
+        key = int(X(update))
+        self.table[key] = Kind.POSE, update
+        return key
+
+    def add_landmark(self, i: LandmarkId, kind: Kind) -> int:
+        """Add a landmark that is new; its key."""
+        key = self.keys[i] = int(gtsam.symbol(kind.value, self.made))
+        self.table[key] = kind, i
         self.made += 1
-        return self.keys[i]
+        return key
 
     def drop(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks."""
         is_kept = ~np.isin(self.ids, list(ids))
-        if len(self.means) == len(self.ids):
+        if len(self.means) == len(self.keys):
             self.means = self.means[is_kept]
-        self.ids, self.walls = self.ids[is_kept], self.walls[is_kept]
         for i in ids:
-            del self.keys[i]
+            del self.table[self.keys.pop(i)]
+
+    def read(self, values: gtsam.Values) -> Array:
+        """Read the landmarks from a solution; (m, 3) its poses in the order of their updates."""
+        # GTSAM returns both in the order of their keys, and empty rows behind the points for vectors of another size.
+        rows = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
+        points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
+        keys = values.keys()
+        kinds = [self.table[key] for key in keys if key in self.table]
+        framed = [each for each in kinds if each[0] is not Kind.POINT]
+        is_pose = np.array([kind is Kind.POSE for kind, _ in framed], dtype=np.bool_)
+        walls = [i for kind, i in framed if kind is Kind.WALL]
+        of_walls, axes = lines(rows[~is_pose])
+        self.frames = dict(zip(walls, rows[~is_pose], strict=True))
+        seen = [i for kind, i in kinds if kind is Kind.POINT]
+        self.by_tangent = dict(zip(walls, axes, strict=True)) | dict.fromkeys(seen, _POINT)
+        found = dict(zip(walls, of_walls, strict=True)) | dict(zip(seen, points, strict=False))
+        self.means = np.array([found[i] for i in self.keys]).reshape(-1, 2)
+        return rows[is_pose]
 
 
 class Solver:
@@ -106,9 +141,9 @@ class Solver:
         """for reading estimates"""
         self._config, self._by_qr = config, False
         self._places: dict[int, int] = {}
-        """in the graph of the solver that uses QR, of factors by number that the first solver had"""
-        self._ahead = 0
-        """by how much the number of a later factor exceeds its place"""
+        """in the graph of GTSAM's solver, of factors by number"""
+        self._made = 0
+        """number of factors so far"""
 
     def update(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = (), last: int | None = None
@@ -123,14 +158,18 @@ class Solver:
             groups, extra = gtsam.KeyGroupMap(), gtsam.KeyList()
             groups.insert2(last, 1)
             extra.push_back(last)
+        numbers = list(range(self._made, self._made + graph.size()))
+        self._made += len(numbers)
+        places = [self._places.pop(number) for number in gone]
         try:
-            places = [self._places.get(factor, factor - self._ahead) for factor in gone]
-            result = self.isam.update(graph, values, places, groups, None, extra)
-            return [place + self._ahead for place in result.getNewFactorsIndices()]
+            found = self.isam.update(graph, values, sorted(places), groups, None, extra).getNewFactorsIndices()
+            self._places.update(zip(numbers, found, strict=True))
         except RuntimeError:
             # Before it fails the solver has added the new factors to its graph and removed the old ones.
-            count = self._switch_to_qr()
-            return list(range(count - graph.size(), count))
+            size = self.isam.getFactorsUnsafe().size()
+            self._places.update(zip(numbers, range(size - len(numbers), size), strict=True))
+            self._switch_to_qr()
+        return numbers
 
     def iterate(self, count: int = 1) -> None:
         """Solve again from the present solution."""
@@ -166,24 +205,20 @@ class Solver:
             except RuntimeError:
                 self._switch_to_qr()  # which raises it where QR has failed, too
 
-    def _switch_to_qr(self) -> int:
-        """Move all factors to a solver that uses QR; how many there were so far, removed ones included."""
+    def _switch_to_qr(self) -> None:
+        """Move all factors to a solver that uses QR."""
         if self._by_qr:
             raise RuntimeError("the factor graph has no solution")
         self._by_qr = True
         factors, values = self.isam.getFactorsUnsafe(), gtsam.Values(self.isam.getLinearizationPoint())
-        count = int(factors.size())
-        kept = [k for k in range(count) if factors.at(k) is not None]
         graph = gtsam.NonlinearFactorGraph()
-        for k in kept:
-            graph.add(factors.at(k))
+        for place in self._places.values():
+            graph.add(factors.at(place))
         self.isam = gtsam.ISAM2(solver_parameters(self._config, "QR"))
         self.isam.update(graph, values)
-        self._places = {factor: place for place, factor in enumerate(kept)}
-        self._ahead = count - len(kept)
+        self._places = {number: place for place, number in enumerate(self._places)}
         for _ in range(self._config.iterations):
             self.isam.update()
-        return count
 
 
 def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "QR"] = "CHOLESKY") -> gtsam.ISAM2Params:
@@ -198,15 +233,12 @@ def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "Q
     return parameters
 
 
-_POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
-
-
 class Solution:
     """The last solution: the present pose and parameters with their joint covariance, all poses, and landmarks."""
 
-    def __init__(self, solver: Solver, landmarks: Landmarks, chain: Chain, start: tuple[Pose, Array]) -> None:
+    def __init__(self, solver: Solver, variables: Variables, chain: Chain, start: tuple[Pose, Array]) -> None:
         """Begin without a solution at a pose, `T_world_robot`, with its covariance (3, 3)."""
-        self._solver, self._landmarks, self._chain = solver, landmarks, chain
+        self._solver, self._variables, self._chain = solver, variables, chain
         self.pose, self._cov = start
         """of the last solved pose, or the start; the covariance has the wheels' parameters, too, if there are any"""
         self.wheels: Wheels | None = None
@@ -334,11 +366,11 @@ class Solution:
             self._poses = self._chain.all_poses(self._in_graph)
         return self._poses
 
-    def landmarks(self) -> Landmarks:
+    def landmarks(self) -> Variables:
         """The landmarks with their present means."""
-        if self._landmarks.keys or len(self._landmarks.means):
+        if self._variables.keys or len(self._variables.means):
             self._read()
-        return self._landmarks
+        return self._variables
 
     def joint_covariance(self, ids: Sequence[LandmarkId], pending: Odometry) -> Array:
         """(3 + 2k, 3 + 2k) of the pose after a motion since the solution and of the landmarks; KeyError for others."""
@@ -372,22 +404,5 @@ class Solution:
         """Read poses and landmarks from the solver, if they are not those of the last solution."""
         if self._has_read:
             return
-        landmarks, values = self._landmarks, self._solver.isam.calculateEstimate()
-        self._in_graph = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
+        self._in_graph = self._variables.read(self._solver.isam.calculateEstimate())
         self._has_read = True
-        is_wall = landmarks.walls
-        if not len(is_wall):
-            return
-        points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
-        # In the order of their keys: the letters of walls and of poses, then the number.
-        frames, self._in_graph = np.split(self._in_graph, [np.count_nonzero(is_wall)])
-        keys = [key for key, wall in zip(landmarks.keys.values(), is_wall.tolist(), strict=True) if wall]
-        landmarks.frames = dict(zip(keys, frames.tolist(), strict=True))
-        means, axes = lines(frames)
-        landmarks.means = np.empty((len(is_wall), 2))
-        # GTSAM adds empty rows to the points for vectors of another size: wheels.
-        landmarks.means[is_wall], landmarks.means[~is_wall] = means, points[: np.count_nonzero(~is_wall)]
-        of_walls = iter(axes)
-        landmarks.by_tangent = {
-            i: next(of_walls) if wall else _POINT for i, wall in zip(landmarks.keys, is_wall.tolist(), strict=True)
-        }
