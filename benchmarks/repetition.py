@@ -34,8 +34,8 @@ _SURFACE_M = 0.12  # between returns of one surface
 
 def old_links(slam: Slam) -> list[Link]:
     """Links to old keyframes that stand at the end; this alone knows how the front end keeps them."""
-    closings = slam._front_end.loop_closures.closings  # type: ignore[union-attr]
-    return [(link.target, link.source, link.pose, np.linalg.inv(link.cov)) for link in closings.links]
+    links = slam._front_end._graph.links  # type: ignore[union-attr]
+    return [(*map(int, row["ends"]), row["pose"], np.linalg.inv(row["cov"])) for row in links[links["is_old"]]]
 
 
 def drive_figures(config: Config, name: str, seed: int) -> Figures:

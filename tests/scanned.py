@@ -12,7 +12,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.prior_map import PriorMap
+from sixthsense.slam.prior_map import KeyScans, PriorMap
 
 
 def outline(*corners: tuple[float, float]) -> Array:
@@ -43,7 +43,10 @@ def look(
 def map_of(walls: Array, poses: Iterable[Pose], laser: LaserConfig) -> PriorMap:
     """A prior map without landmarks: the grid of noisy scans of walls from these poses."""
     grid, none = Grid(GridConfig(), 0.2), np.zeros((0, 2))
-    for pose in poses:
-        grid.add(pose, look(pose, walls, laser, 0.01, 7), np.zeros((0, 2, 2)))
+    poses = list(poses)
+    scans = [look(pose, walls, laser, 0.01, 7) for pose in poses]
+    for pose, scan in zip(poses, scans, strict=True):
+        grid.add(pose, scan, np.zeros((0, 2, 2)))
     landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
-    return PriorMap("earlier", "", landmarks, {}, grid.submap(), GridConfig().cell_m)
+    known = KeyScans(scans, np.array([pose.array() for pose in poses]))
+    return PriorMap("earlier", "", landmarks, {}, grid.submap(), GridConfig().cell_m, known)

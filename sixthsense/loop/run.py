@@ -205,7 +205,7 @@ def find_start(
     from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
 
     check_usable(prior.map, config)
-    relocalizer, start = Relocalizer(prior.map.evidence, config), None
+    relocalizer, start = Relocalizer(prior.map.scans, config), None
     driven: list[Tick] = []
 
     def search(tick: Tick, step: Step, command: Command) -> str | None:

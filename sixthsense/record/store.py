@@ -21,7 +21,7 @@ from sixthsense.record.tables import end_arrays, read_end, read_keyframes, read_
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.prior_map import PriorMap, PriorStart
+from sixthsense.slam.prior_map import KeyScans, PriorMap, PriorStart
 from sixthsense.verdict.verdict import Verdict
 
 _OF_MAP = ("landmarks", "joint_cov", "records", "grid.hits", "grid.passes", "grid.seen")
@@ -136,7 +136,10 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     evidence = Submap.of(np.zeros((0, 2), np.int64), none, none, np.zeros(0, np.bool_))
     if trace.grid is not None:
         evidence = trace.grid.submap()
-    return PriorMap(folder.resolve().name, digest.hexdigest(), landmarks, kept, evidence, trace.config.grid.cell_m)
+    name, cell_m = folder.resolve().name, trace.config.grid.cell_m
+    return PriorMap(
+        name, digest.hexdigest(), landmarks, kept, evidence, cell_m, KeyScans.of(trace.key_scans, trace.trajectory)
+    )
 
 
 def prior_start(

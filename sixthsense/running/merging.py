@@ -24,6 +24,7 @@ from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_verdict
 from sixthsense.record.trace import Trace
 from sixthsense.running.runs import RunHooks, replay_log
+from sixthsense.slam.prior_map import KeyScans
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
 from sixthsense.verdict.evidence import between_runs
@@ -99,10 +100,9 @@ def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
     """
     _check_lasers(first, second)
     with Slam(first.config, first.log.start) as slam:
-        _feed(slam, first.log.ticks)
-        end = slam.pose
-        slam.finish()
-        relocalizer = Relocalizer(slam.grid.submap(), first.config)
+        steps = [slam.take(tick) for tick in first.log.ticks]
+        end, scans = slam.pose, [step.scan for step in steps if step.keyframe is not None and step.scan is not None]
+        relocalizer = Relocalizer(KeyScans(scans, slam.finish().trajectory), first.config)
     with Slam(first.config, Pose()) as slam:
         begin = _begin(slam, second.log.ticks, relocalizer)
     if begin is None:
@@ -155,11 +155,6 @@ def _check_lasers(first: ReplayInput, second: ReplayInput) -> None:
         if not np.isclose(getattr(one, name), getattr(other, name)):
             found = f"found laser.{name} {getattr(other, name):g}"
             raise InputError(second.name, found, f"{getattr(one, name):g}, as in {first.name}")
-
-
-def _feed(slam: Slam, ticks: Sequence[Tick]) -> None:
-    for tick in ticks:
-        slam.take(tick)
 
 
 def _begin(slam: Slam, ticks: Sequence[Tick], relocalizer: Relocalizer) -> Pose | None:

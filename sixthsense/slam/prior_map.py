@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,9 +15,24 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
+from sixthsense.core.laser import Scan
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
+
+
+class KeyScans(NamedTuple):
+    """Scans of keyframes, and where they were taken."""
+
+    scans: Sequence[Scan]
+    poses: Array
+    """(K, 3) `T_world_robot`"""
+
+    @classmethod
+    def of(cls, scans: Sequence[Scan | None], trajectory: Array) -> KeyScans:
+        """Those of a trajectory's keyframes that have a scan."""
+        rows = [k for k, scan in enumerate(scans) if scan is not None]
+        return cls([scan for scan in scans if scan is not None], trajectory[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +50,8 @@ class PriorMap:
     """of the obstacle map; empty for a run without scans"""
     cell_m: float
     """side of its cells"""
+    scans: KeyScans
+    """of its keyframes; none for a run without scans"""
 
     def fresh_records(self) -> dict[LandmarkId, Record]:
         """Copies of the records; first and last keyframe are those of the new run, 0."""

@@ -273,7 +273,7 @@ class Slam:
 
         assert self._unplaced is not None
         (prior_map, cov), self._unplaced = self._unplaced, None
-        found = located(scan, prior_map, here, cov, self.config.grid)
+        found = located(scan, prior_map, here, cov, self.config)
         if found == here:
             return increment
         return (increment or STANDSTILL).then(Odometry(here.inverse() @ found, np.zeros((3, 3))))

@@ -5,24 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config import preset
 from sixthsense.config.parts import PLACE_SEARCHES
 from sixthsense.config.tree import make_part
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.se2 import between
+from sixthsense.slam.scans.known_places import KnownPlaces
 from sixthsense.slam.scans.place_search import (
     Candidate,
     ExpectedPoses,
     PlaceQuery,
     candidates_fault,
     is_same_place,
-    surfaces_around,
 )
-from sixthsense.slam.scans.places import VOXEL_M, Pyramid, appearance, pyramid, submap_points
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.testing.laws import Laws, agree, equal
 from sixthsense.testing.perception import ROOM
@@ -38,85 +36,44 @@ _OFF = np.array([0.15, -0.1, 0.03])
 _SIGMA_M, _SIGMA_RAD = 0.4, 0.1
 
 
-class Around:
-    """The scans of one room."""
-
-    def __init__(self, places: Places, rows: NDArray[np.int64]) -> None:
-        self._places, self._rows = places, rows
-
-    def partners(self, key: int, at: Array, most: int) -> NDArray[np.int64]:
-        """The nearest of them."""
-        off = self._places.poses[self._rows, :2] - at[:2]
-        return self._rows[np.argsort((off**2).sum(axis=1), kind="stable")][:most]
-
-
-class Places:
+class Rooms:
     """Scans with a laser at known poses in three rooms, each of which is a place, and one that was taken again."""
 
     usual_agreement = 0.9
 
     def __init__(self, room: int, again: Pose) -> None:
         config, rng = preset("log"), np.random.default_rng(11)
-        self.store, poses, self._rooms = ScanStore(config.scans.max_range_m), [], []
-        for number, (turn, origin, size) in _ROOMS.items():
+        self.store, poses = ScanStore(config.scans.max_range_m), []
+        rows = [(number, pose) for number in _ROOMS for pose in _WAY]
+        for number, pose in (*rows, (room, again)):  # the newest scan is the last row
+            turn, origin, size = _ROOMS[number]
+            x, y = rotation(turn) @ (size * pose.position) + origin
+            at = Pose(float(x), float(y), pose.theta + turn)
             walls = ROOM * size @ rotation(turn).T + origin
-            for pose in (*_WAY, *((again,) if number == room else ())):
-                x, y = rotation(turn) @ (size * pose.position) + origin
-                at = Pose(float(x), float(y), pose.theta + turn)
-                ranges = cast_rays(at, beam_bearings(config.laser), walls, config.laser.max_range)
-                noisy = ranges + rng.normal(0.0, 0.01, len(ranges))
-                poses.append((number, pose is again, at.array(), Scan.from_config(noisy, config.laser)))
-        poses.sort(key=lambda row: row[1])  # the newest scan is the last row
-        for number, _, _, scan in poses:
-            self.store.put(scan)
+            ranges = cast_rays(at, beam_bearings(config.laser), walls, config.laser.max_range)
+            self.store.put(Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser))
             self.store.keep()
-            self._rooms.append(number)
-        self.poses = np.array([at for _, _, at, _ in poses])
-        self.key = len(poses) - 1
-        self.travelled_m = np.append(np.arange(self.key) * 1.5, 400.0)
-        self._first = [self._rooms.index(number) for number in _ROOMS]
-
-    @property
-    def anchors(self) -> Array:
-        """The first scan of each room."""
-        return self.poses[self._first]
-
-    @property
-    def looks(self) -> Array:
-        """What the rooms look like."""
-        found = []
-        for number in _ROOMS:
-            rows = self._of_room(number)
-            at = between(self.poses[self._first[number]], self.poses[rows])
-            found.append(appearance(surfaces_around(self, rows, at)[0]))
-        return np.array(found)
-
-    def _of_room(self, number: int) -> NDArray[np.int64]:
-        return np.flatnonzero(np.array(self._rooms[: self.key]) == number)
-
-    def submap(self, place: int, range_m: float) -> Pyramid:
-        """The submap of a room."""
-        rows = self._of_room(place)
-        at = between(self.poses[self._first[place]], self.poses[rows])
-        return pyramid(submap_points(self.store.returns, rows, at, VOXEL_M, range_m))
-
-    def surroundings(self, place: int) -> Around:
-        """The scans of a room."""
-        return Around(self, self._of_room(place))
+            poses.append(at.array())
+        self.poses, self.key = np.array(poses), len(rows)
+        # Rooms are so far apart on the way that each is a place of its own.
+        way_m = 50.0 * np.arange(len(_ROOMS))[:, None] + 0.5 * np.arange(len(_WAY))
+        self.travelled_m = np.append(way_m.ravel(), 400.0)
 
     def query(self) -> PlaceQuery:
         """Where the newest scan is, of which the track says little."""
-        true = between(self.anchors, self.poses[self.key])
-        count = len(_ROOMS)
+        places, known = KnownPlaces(self), np.arange(self.key)
+        places.seek(known, known)
+        true = between(places.anchors, self.poses[self.key])
+        count = len(places.anchors)
         expected = ExpectedPoses(true + _OFF, np.full(count, _SIGMA_M), np.full(count, _SIGMA_RAD))
-        return PlaceQuery(self, self.key, self.travelled_m, self, expected, 0.5)
+        return PlaceQuery(self, self.key, places, expected, 0.5)
 
 
-def _answers(part: Any) -> list[tuple[Places, list[Candidate]]]:
-    search, found = make_part(PLACE_SEARCHES, part), list[tuple[Places, list[Candidate]]]()
+def _answers(part: Any) -> list[tuple[Rooms, list[Candidate]]]:
+    search, found = make_part(PLACE_SEARCHES, part), list[tuple[Rooms, list[Candidate]]]()
     for room in _ROOMS:
         for again in _AGAIN:
-            places = Places(room, again)
+            places = Rooms(room, again)
             found.append((places, list(search.propose(places.query()))))
     return found
 
@@ -139,22 +96,11 @@ def candidates_are_poses_of_different_places_with_scores_the_best_first(part: An
 
 @LAWS.law()
 def where_nothing_is_known_nothing_is_proposed(part: Any) -> None:
-    places = Places(1, _AGAIN[0])
-    query = places.query()._replace(places=_Nothing(places), expected=ExpectedPoses.anywhere(0))
+    rooms, nothing = Rooms(1, _AGAIN[0]), np.zeros(0, dtype=np.int64)
+    query, places = rooms.query(), KnownPlaces(rooms)
+    places.seek(nothing, nothing)
+    query = query._replace(places=places, expected=ExpectedPoses.anywhere(0))
     equal("candidates", len(make_part(PLACE_SEARCHES, part).propose(query)), 0)
-
-
-class _Nothing:
-    """No place."""
-
-    def __init__(self, places: Places) -> None:
-        self.anchors, self.looks = np.zeros((0, 3)), places.looks[:0]
-
-    def submap(self, place: int, range_m: float) -> Pyramid:
-        raise IndexError(place)
-
-    def surroundings(self, place: int) -> Around:
-        raise IndexError(place)
 
 
 @LAWS.law()

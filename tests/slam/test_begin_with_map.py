@@ -15,7 +15,7 @@ from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_prior_map
 from sixthsense.simulation.scene import load_scene
-from sixthsense.slam.prior_map import PriorStart
+from sixthsense.slam.prior_map import KeyScans, PriorStart
 
 SECONDS = 20.0
 ROOM = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [3.0, 4.0], [3.0, 3.0], [0.0, 3.0]])
@@ -38,9 +38,9 @@ def config_of(seed, estimator="ekf-invariant", **fields):
 
 def driven(scene, seed, folder=None, prior=None, **fields):
     config = config_of(seed, **fields)
-    trace = loop.run(config, scene=scene, prior=prior)
-    if folder is not None:
-        out = RunFolder(folder, config)
+    out = None if folder is None else RunFolder(folder, config)
+    trace = loop.run(config, None if out is None else out.record, scene, prior)
+    if out is not None:
         out.write(trace, measure(trace))
         out.finish()
     return trace
@@ -136,6 +136,8 @@ def test_a_place_that_looks_like_another_one_is_refused(explored, tmp_path):
     folder.write(explored.trace, explored.metrics)
     folder.finish()
     scan = explored.trace
-    prior = PriorStart(read_prior_map(tmp_path / "rectangle"), Pose(0.0, 0.0, 0.5 * math.pi), (1.0, 0.5, 2.0))
+    scans = KeyScans.of(scan.key_scans, scan.trajectory)
+    known = dataclasses.replace(read_prior_map(tmp_path / "rectangle"), scans=scans)
+    prior = PriorStart(known, Pose(0.0, 0.0, 0.5 * math.pi), (1.0, 0.5, 2.0))
     with pytest.raises(InputError, match="two places of rectangle that the first scan fits"):
         loop.run(scan.config, prior=prior)

@@ -61,7 +61,7 @@ MAP = map_of(ROOMS, WAY, LASER)
 def search(poses, walls=ROOMS, prior=MAP, own=None, min_score=0.62):
     """Metres driven, and the error of its pose, once a robot that drives along the poses is certain; None if never."""
     own = own or Pose(3.0, -2.0, 0.7)
-    relocalizer = Relocalizer(prior.evidence, Config(grid=GRID, scans=ScansConfig(min_score=min_score)))
+    relocalizer = Relocalizer(prior.scans, Config(grid=GRID, scans=ScansConfig(min_score=min_score)))
     for k, pose in enumerate(poses):
         found = relocalizer.take(seen(walls, pose, k), own @ poses[0].inverse() @ pose)
         if found is not None:
@@ -120,8 +120,8 @@ def first(tmp_path_factory):
     from sixthsense.evaluation.measure import measure
 
     config = preset(scene="rectangle", task="tour", max_time=20.0, seed=1)
-    trace = loop.run(config, scene=scene_of(LOPSIDED, Pose(0.8, 0.8, 0.3)))
     folder = RunFolder(tmp_path_factory.mktemp("runs") / "first", config)
+    trace = loop.run(config, folder.record, scene_of(LOPSIDED, Pose(0.8, 0.8, 0.3)))
     folder.write(trace, measure(trace))
     folder.finish()
     return read_prior_map(folder.out)

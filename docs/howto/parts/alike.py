@@ -3,7 +3,8 @@
 import numpy as np
 
 from sixthsense.core.se2 import between, compose
-from sixthsense.slam.scans.place_search import Candidate, distinct, of_last_metres, surfaces_around
+from sixthsense.slam.scans.known_places import of_last_metres, surfaces_around
+from sixthsense.slam.scans.place_search import Candidate, distinct
 from sixthsense.slam.scans.places import appearance
 
 
@@ -11,7 +12,7 @@ class Alike:
     """Compares what places look like, and searches no pose: for robots with good odometry."""
 
     def propose(self, query):
-        keys = of_last_metres(query.travelled_m, query.key)
+        keys = of_last_metres(query.scans.travelled_m, query.key)
         poses = query.scans.poses
         seen, _ = surfaces_around(query.scans, keys, between(poses[query.key], poses[keys]))
         if not len(seen) or not len(query.places.anchors):

@@ -1,14 +1,13 @@
-"""Point-to-line alignment of a scan with others: residuals, a prior, and a loss whose gate narrows.
+"""Alignment of scans: points of one on the lines of another, by a robust Gauss-Newton iteration.
 
-A point of the source scan, seen from the target's laser, falls into a cell of bearings; the nearest return in the cells
-around is its partner, and the residual is its distance from the partner's line. Partners' normals must agree, so that
-the two faces of a thin wall are never confused (Censi, "An ICP variant using a point-to-line metric", ICRA 2008;
-Blais and Levine, "Registering multiview range data to create 3D computer objects", PAMI 17(8), 1995).
+A point's partner is found by its bearing, as in a projection (Blais and Levine, "Registering multiview range data to
+create 3D computer objects", PAMI 17(8), 1995). The distance is that from the partner's line (Censi, "An ICP variant
+using a point-to-line metric", ICRA 2008). Partners whose normals disagree belong to two faces of one wall, and are left
+out.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
 
@@ -17,24 +16,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import inverse, product, triple
+from sixthsense.core.se2 import between, inverse, inverse_covariance, product, triple, wrapped
 from sixthsense.slam.scans.returns import Bearings, Returns, bearings_at, cell_of, direction
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
-_SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
+_SINE_OF_REACH = math.sin(_MAX_REACH_RAD) / _MAX_REACH_RAD  # at most sin(a) / a up to there
 NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
+SIGMA_M = 0.03
+"""sigma of a return's distance from a line: noise, roughness and curvature of real walls"""
+SCALE_M = 0.05
+"""scale of the Cauchy loss on that distance"""
+SURFACE_M = 0.12
+"""nearer returns are of one surface; the last gate of partners"""
+_NARROWER = 0.8  # ratio of one gate to the gate before
+_MOST_STEPS = 14
+_NEAR_M, _STEP_M = 0.02, 3e-4  # smaller steps end the wide gates, and the iteration
+_M_PER_RAD = 3.0  # a turn as a step
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
-def partner(returns: Returns, target: int, x: float, y: float, gate_m: float) -> int:
-    """The cell of the target's return that is nearest to a point in the target's frame; -1 for none within the gate."""
-    return _nearest(returns.points[target], bearings_at(returns, target), x, y, gate_m)
+class Prior(NamedTuple):
+    """What is known of a pose without the scans, such as by odometry."""
+
+    pose: Array
+    """(3,)"""
+    information: Array
+    """(3, 3) of the error of (x, y, theta), axes of the frame of the pose"""
+    slip_sigmas: float = math.inf
+    """scale of the Cauchy loss on the distance from it; infinite for none"""
+
+
+class Views(NamedTuple):
+    """A scan and those that it is aligned with."""
+
+    returns: Returns
+    source: int
+    """row of the scan"""
+    targets: NDArray[np.int64]
+    """(R,) rows of the others"""
+    at: Array
+    """(R, 3) their poses, in the frame of the pose that is sought"""
+    factor: float = 1.0
+    """of the variance of a return"""
+
+
+class Sums(NamedTuple):
+    """Sums over pairs of a point and a line; sums of m pairs of scans have a row for each."""
+
+    hessian: Array
+    """(3, 3) of half the weighted squares by (x, y, theta) of the source's pose"""
+    feigned: Array
+    """(3, 3) what the noise of the normals adds to it"""
+    gradient: Array
+    """(3,)"""
+    totals: Array
+    """(3,) weights, partners, and weighted squares, m^2"""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def no_sums(pairs: int) -> Sums:
+    """Sums of so many pairs of scans, zero."""
+    return Sums(np.zeros((pairs, 3, 3)), np.zeros((pairs, 3, 3)), np.zeros((pairs, 3)), np.zeros((pairs, 3)))
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def _nearest(points: NDArray[np.float32], bearings: Bearings, x: float, y: float, gate_m: float) -> int:
-    """As `partner`, among the returns `points` (beams, 3) of one scan."""
+    """The cell of the return, among `points` (beams, 3), that is nearest to (x, y); -1 for none within the gate."""
     beams = bearings.beams
     centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
     # A return n cells away lies at least n - 1 cells from the point's direction, and so far from the point, at least.
@@ -96,244 +143,120 @@ def partners_of(
     return found, shared
 
 
-SIGMA_M = 0.03  # of a return's distance from a line: noise, roughness and curvature of real walls
-SCALE_M = 0.05  # of the Cauchy loss on that distance
-SURFACE_M, _NARROWER = 0.12, 0.8  # nearer returns are of one surface: the last gate; and the ratio of one to the next
-_MOST_STEPS = 14
-_NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
-_STEP_M, _STEP_RAD = 3e-4, 1e-4  # a smaller step ends the iteration
+class Axes(NamedTuple):
+    """How distances from the lines of a scan depend on the pose that is sought."""
 
-HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = itertools.accumulate((6, 3, 1, 1, 1, 6), initial=0)
-"""Places in the sums: Hessian (upper triangle), gradient, weights, partners, squares, Hessian of the normals' noise."""
-
-
-class Prior(NamedTuple):
-    """What is known of a pose without the scans, such as by odometry."""
-
-    pose: Array
-    """(3,)"""
-    information: Array
-    """(3, 3) of the error of (x, y, theta), axes of the frame of the pose"""
-    slip_sigmas: float = math.inf
-    """scale of the Cauchy loss on the distance from it; infinite for none"""
-
-
-class Views(NamedTuple):
-    """A scan and those that it is aligned with."""
-
-    returns: Returns
-    source: int
-    """row of the scan"""
-    targets: NDArray[np.int64]
-    """(R,) rows of the others"""
-    at: Array
-    """(R, 3) their poses, in the frame of the pose that is sought"""
-    factor: float = 1.0
-    """of the variance of a return"""
-
-
-class Loss(NamedTuple):
-    """How residuals count."""
-
-    gate_m: float
-    """largest distance of partners"""
-    scale_m: float
-    """of the Cauchy loss"""
+    x: float
+    """position of the source's laser in the frame of the lines, m"""
+    y: float
+    heading: float
+    """of the frame of the lines in the frame of the pose, rad"""
+    sign: float
+    """1 for lines of a target, -1 for lines of the source"""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
-def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: Loss, sums: Array) -> None:
-    """Add the points of `source`, at `pose` (3,) in the target's frame, on the lines of `target` to `sums` (SUMS,).
+def add(returns: Returns, lines: int, points: int, pose: Array, axes: Axes, gate_m: float, sums: Sums) -> None:
+    """Add the points of one scan, at `pose` (3,) in the frame of another scan, on the lines of that one to `sums`.
 
-    Hessian and gradient are by (x, y, theta) of the pose, of half the weighted squares, m. Returns with one partner
-    share its error: n of them are worth 2 n / (n + 1) pairs, two at most. A near scan puts many on a far one's return.
+    Points with one partner share its error: n of them count as 2 n / (n + 1) pairs, two at most. A near scan puts many
+    on a far one's return.
     """
-    per_scale = 1.0 / loss.scale_m
-    points, normals, moved = returns.points[target], returns.normals[target], returns.points[source]
+    per_scale = 1.0 / SCALE_M
+    at, normals, moved = returns.points[lines], returns.normals[lines], returns.points[points]
     x, y, c, s = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    stride = bearings_at(returns, source).stride
-    partners, shared = partners_of(returns, target, source, pose, loss.gate_m)
-    # Numbers instead of rows of `sums`: a compiler keeps them in registers.
+    to_c, to_s = math.cos(axes.heading), math.sin(axes.heading)
+    stride = bearings_at(returns, points).stride
+    partners, shared = partners_of(returns, lines, points, pose, gate_m)
+    # Numbers instead of arrays: a compiler keeps them in registers.
     xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = fxx = fxy = fxt = fyy = fyt = ftt = 0.0
     for i in range(len(partners)):
         q, k = partners[i], i * stride
         if q < 0:
             continue
-        px, py = moved[k, 0], moved[k, 1]
-        dx, dy = c * px - s * py, s * px + c * py
+        px, py = x + (c * moved[k, 0] - s * moved[k, 1]), y + (s * moved[k, 0] + c * moved[k, 1])
         nx, ny = float(normals[q, 0]), float(normals[q, 1])
-        r = nx * (x + dx - points[q, 0]) + ny * (y + dy - points[q, 1])
+        r = nx * (px - at[q, 0]) + ny * (py - at[q, 1])
         pairs = 2.0 / (1.0 + shared[q])
         weight = pairs / (1.0 + (r * per_scale) ** 2)
-        turn = ny * dx - nx * dy  # of r by theta
+        dx, dy = px - axes.x, py - axes.y
+        # The derivatives by theta of the distance, and of the distance from the line turned by a quarter.
+        turn, along = ny * dx - nx * dy, nx * dx + ny * dy
+        nx, ny = to_c * nx - to_s * ny, to_s * nx + to_c * ny
         wx, wy, wt = weight * nx, weight * ny, weight * turn
         xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * turn
         yy, yt, tt = yy + wy * ny, yt + wy * turn, tt + wt * turn
         gx, gy, gt = gx + wx * r, gy + wy * r, gt + wt * r
         weights, hits, squares = weights + weight, hits + pairs, squares + weight * r * r
-        # The same line turned by a quarter: what an error of the normal's angle adds to the Hessian.
-        along, feigned = nx * dx + ny * dy, weight * normals[q, 2]
+        # An error of the normal's angle moves the distance by the turned line's derivatives.
+        feigned = weight * normals[q, 2]
         fx, fy = -feigned * ny, feigned * nx
         fxx, fxy, fxt = fxx - fx * ny, fxy + fx * nx, fxt + fx * along
         fyy, fyt, ftt = fyy + fy * nx, fyt + fy * along, ftt + feigned * along * along
-    found = (xx, xy, xt, yy, yt, tt, gx, gy, gt, weights, hits, squares, fxx, fxy, fxt, fyy, fyt, ftt)
-    for i in range(SUMS):
-        sums[i] += found[i]
+    _add_symmetric(sums.hessian, (xx, xy, xt, yy, yt, tt))
+    _add_symmetric(sums.feigned, (fxx, fxy, fxt, fyy, fyt, ftt))
+    for i, gradient in enumerate((gx, gy, gt)):
+        sums.gradient[i] += axes.sign * gradient
+    for i, total in enumerate((weights, hits, squares)):
+        sums.totals[i] += total
 
 
 @numba.njit(cache=True, error_model="numpy")
-def add_both_ways(returns: Returns, target: int, source: int, pose: Array, loss: Loss, sums: Array) -> None:
-    """As `add_one_way`, and the points of `target` on the lines of `source`, by the same pose."""
-    add_one_way(returns, target, source, pose, loss, sums)
-    back, reverse = np.zeros(SUMS), np.array(inverse(triple(pose)))
-    add_one_way(returns, source, target, reverse, loss, back)
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    # The Jacobian of the inverse pose by the pose is [[-c, -s, u], [s, -c, v], [0, 0, -1]].
-    u, v = reverse[1], -reverse[0]
-    gx, gy = back[GRADIENT], back[GRADIENT + 1]
-    sums[GRADIENT] += s * gy - c * gx
-    sums[GRADIENT + 1] -= s * gx + c * gy
-    sums[GRADIENT + 2] += u * gx + v * gy - back[GRADIENT + 2]
-    for at in (HESSIAN, SPREAD):
-        _add_reversed(sums, at, back, (c, s, u, v))
-    for k in (WEIGHT, HITS, SQUARES):
-        sums[k] += back[k]
+def _add_symmetric(out: Array, upper: tuple[float, float, float, float, float, float]) -> None:
+    """Add the matrix (3, 3) with these entries, from the diagonal on in each row."""
+    for i, j, value in ((0, 0, upper[0]), (0, 1, upper[1]), (0, 2, upper[2]), (1, 1, upper[3]), (1, 2, upper[4])):
+        out[i, j] += value
+        if i != j:
+            out[j, i] += value
+    out[2, 2] += upper[5]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_reversed(sums: Array, at: int, back: Array, jacobian: tuple[float, float, float, float]) -> None:
-    """Add the symmetric matrix at a place of `back`, by the inverse pose, to that of `sums`, by the pose."""
-    c, s, u, v = jacobian
-    xx, xy, xt, yy, yt, tt = back[at], back[at + 1], back[at + 2], back[at + 3], back[at + 4], back[at + 5]
-    # Columns of the matrix times the Jacobian.
-    ax, ay = s * xy - c * xx, s * yy - c * xy
-    bx, by = -s * xx - c * xy, -s * xy - c * yy
-    tx, ty, t = u * xx + v * xy - xt, u * xy + v * yy - yt, u * xt + v * yt - tt
-    sums[at] += s * ay - c * ax
-    sums[at + 1] += s * by - c * bx
-    sums[at + 2] += s * ty - c * tx
-    sums[at + 3] -= s * bx + c * by
-    sums[at + 4] -= s * tx + c * ty
-    sums[at + 5] += u * tx + v * ty - t
+def add_all(views: Views, pose: Array, gate_m: float, both: bool, sums: Sums) -> None:
+    """Compute `sums` over the targets, of the source at `pose` (3,) on their lines, and if `both` the other way round.
 
-
-@numba.njit(cache=True, error_model="numpy")
-def matrix(sums: Array, at: int) -> Array:
-    """(3, 3) symmetric matrix at a place of the sums."""
-    out, k = np.empty((3, 3)), at
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] = out[j, i] = sums[k]
-            k += 1
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def told(sums: Array, over: float) -> Array:
-    """(3, 3) Hessian over a number, without what the normals' noise adds to it."""
-    out, k = np.empty((3, 3)), 0
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] = out[j, i] = (sums[HESSIAN + k] - sums[SPREAD + k]) / over
-            k += 1
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _add_turned(sums: Array, at: int, own: Array, c: float, s: float) -> None:
-    """Add the symmetric matrix at a place of `own`, in axes turned by an angle of cosine c and sine s, to `sums`."""
-    xx, xy, xt, yy, yt, tt = own[at], own[at + 1], own[at + 2], own[at + 3], own[at + 4], own[at + 5]
-    sums[at] += c * c * xx - 2.0 * c * s * xy + s * s * yy
-    sums[at + 1] += c * s * (xx - yy) + (c * c - s * s) * xy
-    sums[at + 2] += c * xt - s * yt
-    sums[at + 3] += s * s * xx + 2.0 * c * s * xy + c * c * yy
-    sums[at + 4] += s * xt + c * yt
-    sums[at + 5] += tt
-
-
-@numba.njit(cache=True, error_model="numpy")
-def add_all(views: Views, pose: Array, loss: Loss, both: bool, sums: Array) -> float:
-    """Sum of `add_one_way`, or `add_both_ways` if `both`, over the targets, into `sums` (SUMS,), axes of their frame.
-
-    `pose` (3,) is that of the source. Returns the largest weight of one target: targets that see the same surfaces
-    count once.
+    Axes are those of the frame of the pose.
     """
-    returns, source, targets, at = views.returns, views.source, views.targets, views.at
-    sums[:] = 0.0
-    most = 0.0
-    for r in range(len(targets)):
-        c, s = math.cos(at[r, 2]), math.sin(at[r, 2])
-        dx, dy = pose[0] - at[r, 0], pose[1] - at[r, 1]
-        seen = np.array((c * dx + s * dy, c * dy - s * dx, pose[2] - at[r, 2]))
-        own = np.zeros(SUMS)
+    sums.hessian[:], sums.feigned[:], sums.gradient[:], sums.totals[:] = 0.0, 0.0, 0.0, 0.0
+    for r in range(len(views.targets)):
+        seen, heading = between(triple(views.at[r]), triple(pose)), views.at[r, 2]
+        axes = Axes(seen[0], seen[1], heading, 1.0)
+        add(views.returns, views.targets[r], views.source, np.array(seen), axes, gate_m, sums)
         if both:
-            add_both_ways(returns, targets[r], source, seen, loss, own)
-        else:
-            add_one_way(returns, targets[r], source, seen, loss, own)
-        for place in (HESSIAN, SPREAD):
-            _add_turned(sums, place, own, c, s)
-        gx, gy = own[GRADIENT], own[GRADIENT + 1]
-        sums[GRADIENT] += c * gx - s * gy
-        sums[GRADIENT + 1] += s * gx + c * gy
-        sums[GRADIENT + 2] += own[GRADIENT + 2]
-        for k in (WEIGHT, HITS, SQUARES):
-            sums[k] += own[k]
-        most = max(most, own[WEIGHT])
-    return most
+            back = np.array(inverse(seen))
+            add(views.returns, views.source, views.targets[r], back, Axes(0.0, 0.0, pose[2], -1.0), gate_m, sums)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, sums: Array) -> float:
-    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,); fills `sums` (SUMS,).
+def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, sums: Sums) -> None:
+    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,); computes `sums` there.
 
-    Arguments as in `add_all`. `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly
-    moves any more. Returns the largest weight of one target.
+    `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly moves any more.
     """
     scale = 1.0 / (SIGMA_M * SIGMA_M * views.factor * max(1, len(views.targets)))
-    gate, most = max(gate_m, SURFACE_M), 0.0
+    gate = max(gate_m, SURFACE_M)
     for _ in range(_MOST_STEPS):
-        most = add_all(views, pose, Loss(gate, SCALE_M), both, sums)
+        add_all(views, pose, gate, both, sums)
         move = _step(prior, scale, pose, sums)
         for i in range(3):
             pose[i] += move[i]
-        shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
-        if gate == SURFACE_M and shift < _STEP_M and turn < _STEP_RAD:
+        moved_m = abs(move[0]) + abs(move[1]) + _M_PER_RAD * abs(move[2])
+        if gate == SURFACE_M and moved_m < _STEP_M:
             break
-        gate = max(_NARROWER * gate, SURFACE_M)
-        if shift < _NEAR_M and turn < _NEAR_RAD:
-            gate = SURFACE_M
-    pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return most
+        gate = SURFACE_M if moved_m < _NEAR_M else max(_NARROWER * gate, SURFACE_M)
+    pose[2] = wrapped(pose[2])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _step(prior: Prior, scale: float, pose: Array, sums: Array) -> Array:
+def _step(prior: Prior, scale: float, pose: Array, sums: Sums) -> Array:
     """(3,) step of the pose for the sums there, which are multiplied with `scale`, and the prior."""
-    off, system, downhill = np.empty(3), matrix(sums, HESSIAN), np.empty(3)
-    for i in range(3):
-        off[i] = pose[i] - prior.pose[i]
-    off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
+    off = np.array((pose[0] - prior.pose[0], pose[1] - prior.pose[1], wrapped(pose[2] - prior.pose[2])))
     pull = product(prior.information, off)
     square = off[0] * pull[0] + off[1] * pull[1] + off[2] * pull[2]
     weight = 1.0 / (1.0 + square / (prior.slip_sigmas * prior.slip_sigmas))
+    system, downhill = np.empty((3, 3)), np.empty(3)
     for i in range(3):
-        downhill[i] = -(scale * sums[GRADIENT + i] + weight * pull[i])
+        downhill[i] = -(scale * sums.gradient[i] + weight * pull[i])
         for j in range(3):
-            system[i, j] = scale * system[i, j] + weight * prior.information[i, j]
-    return solved(system, downhill)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def solved(a: Array, b: Array) -> Array:
-    """(3,) solution of the symmetric, positive definite system a (3, 3), b (3,), by its Cholesky factors."""
-    l00 = math.sqrt(a[0, 0])
-    l10, l20 = a[1, 0] / l00, a[2, 0] / l00
-    l11 = math.sqrt(a[1, 1] - l10 * l10)
-    l21 = (a[2, 1] - l20 * l10) / l11
-    l22 = math.sqrt(a[2, 2] - l20 * l20 - l21 * l21)
-    y0 = b[0] / l00
-    y1 = (b[1] - l10 * y0) / l11
-    y2 = (b[2] - l20 * y0 - l21 * y1) / l22
-    x2 = y2 / l22
-    x1 = (y1 - l21 * x2) / l11
-    return np.array(((y0 - l10 * x1 - l20 * x2) / l00, x1, x2))
+            system[i, j] = scale * sums.hessian[i, j] + weight * prior.information[i, j]
+    return product(inverse_covariance(system), downhill)

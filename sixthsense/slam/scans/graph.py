@@ -1,69 +1,73 @@
-"""The graph of keyframes: their poses, and each link once, as the estimator was given it.
-
-Thinning: where enough keyframes show a place from much the same pose, later ones leave the graph.
-
-A robot that comes back to the same rooms all day adds keyframes for ever, and says nothing new by them. Keeping the
-poses that are there already, once a place is known, is the reduced pose graph of Johannsson, Kaess, Fallon and Leonard,
-ICRA 2013. A keyframe leaves some time after it was made. Its links are lost, so that nothing is counted twice.
-"""
+"""The graph of keyframes: their poses, and each link once, as the estimator was given it."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
-from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
-from sixthsense.core.se2 import between, compose, conjugate, largest_variance, move_covariance, triple, whitenings
+from sixthsense.core.se2 import between, compose, conjugate, move_covariance, triple, whitenings
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.links import NEAR_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import Usual
-from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 Keys = NDArray[np.int64]
-NO_KEYS: Keys = np.zeros(0, dtype=np.int64)
+Rows = NDArray[Any]
+"""a structured array, see `KEYFRAME` and `LINK`"""
 
-LINKS = 4  # of a keyframe to those before it, and to old ones at most
-OLD_AGE = 25  # keyframes; nearer ones are of the same pass
+LINKS = 4
+"""links of a keyframe to those before it, and to old ones at most"""
+OLD_AGE = 25
+"""keyframes; nearer ones are of the same pass"""
 _AROUND = 8  # keyframes before the newest whose old partners are followed, and to either side of each partner
-REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
-M_PER_RAD = 0.5  # what a turn counts as a distance
-AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
-_PERIOD = 10  # keyframes between two times that all poses are read, and that leave at a time: each costs a solution
+REACH_M, REACH_RAD = 4.0, 2.0
+"""between scans whose views overlap"""
+M_PER_RAD = 0.5
+"""a turn as a distance"""
+PERIOD = 10
+"""keyframes between two times that all poses are read, and that leave at a time: each costs a solution"""
+LOSS = 4.0
+"""scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)"""
+_CORRELATION = 0.0625  # of two links of one scan, by the NEES of drives in rooms
 _WEIGHTED = 0.777  # mean of a chi-square of 3 degrees of freedom by the weights of the loss, over that without
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
-LOSS = 4.0  # scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)
 
-
-class LinkKind(Enum):
-    """What a link joins."""
-
-    ONE_PASS = "keyframes of one pass"
-    OLD = "a keyframe and an old one, of another pass"
-
-
-class KeyframeLink(NamedTuple):
-    """The relative pose of two keyframes, as it was given to the estimator."""
-
-    target: int
-    source: int
-    pose: Array
-    """(3,) of the source's laser in the frame of the target's"""
-    cov: Array
-    """(3, 3) of its error, axes of the target's laser"""
-    kind: LinkKind
-    scale: float
-    """what the covariance by its returns was multiplied with"""
-    closure: int | None
-    """the loop closure that a link to an old keyframe follows from; None for one before the first"""
+KEYFRAME = np.dtype(
+    [
+        ("pose", np.float64, 3),  # T_world_laser
+        (
+            "step",
+            np.float64,
+            2,
+        ),  # variances of position and heading of the motion from the keyframe before, m^2 and rad^2
+        ("travelled_m", np.float64),
+        ("is_out", np.bool_),  # of the estimator's graph
+    ]
+)
+LINK = np.dtype(
+    [
+        ("id", np.int64),  # of the estimator
+        ("ends", np.int64, 2),  # target and source
+        ("pose", np.float64, 3),  # of the source's laser in the frame of the target's
+        ("cov", np.float64, (3, 3)),  # of its error as the estimator was given it, axes of the target's laser
+        (
+            "weight",
+            np.float64,
+        ),  # that its squared residual was given, beside one with the covariance by its returns alone
+        ("is_old", np.bool_),  # whether the target is of another pass
+        ("closure", np.int64),  # number of the loop closure that it follows from; -1 for none
+        ("closes", np.bool_),  # whether it is one of the links that closed that loop
+        ("stands", np.bool_),  # whether the estimator has it still
+    ]
+)
 
 
 class ScanGraph:
@@ -73,34 +77,42 @@ class ScanGraph:
         """Begin empty; `sigma_m` is the least sigma of a return."""
         self.store, self.estimator = store, estimator
         self._sigma_m = sigma_m
-        self._rows = np.zeros((64, 3))
-        self._centres = np.zeros((64, 3))
-        """middle of what each keyframe sees, in its frame, as poses without a turn"""
-        self._kept_rows = np.ones(64, dtype=np.bool_)
         self._mount = np.zeros(3)
         """(3,) `T_robot_laser`"""
-        self.poses, self.is_kept = self._rows[:0], self._kept_rows[:0]
-        """(K, 3) `T_world_laser` of the keyframes, and (K,) which of them are in the estimator's graph; views. The
-        poses of others follow their neighbours'."""
-        self.count = 0
-        """number of keyframes"""
-        self.links: dict[int, KeyframeLink] = {}
-        """by the estimator's id"""
-        self._ends, self._motions = np.zeros((64, 2), dtype=np.int64), np.zeros((64, 3))
-        self._roots, self._are_old = np.zeros((64, 3, 3)), np.zeros(64, dtype=np.bool_)
-        """of the links, in the rows of their ids: keyframes, relative poses, whitenings of their errors, and kinds"""
-        self._of: dict[int, list[int]] = {}
-        """of a keyframe: the ids of its links to earlier ones"""
-        self.uncertainty = UncertaintyGraph()
-        """of the poses relative to each other: an arc for each motion, and for links to old keyframes"""
+        self._keyframes, self._links = np.zeros(64, KEYFRAME), np.zeros(256, LINK)
+        self._old: NDArray[np.int64] | None = None
+        """ends of the links to old keyframes, once they were asked for since links changed"""
+        self.count = self._link_count = 0
+        """number of keyframes, and of links so far"""
         self.usual = Usual(0.0, 0.5)
         """what scans lately had where they were tracked"""
         self.first = 0
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of keyframes when all poses were read"""
-        self._factors: tuple[float, float] | None = None
-        """the variance factors of the links as they are and before scaling, once asked for after all poses were read"""
+        self._factor = 1.0
+        """the variance factor when all poses were read"""
+
+    @property
+    def poses(self) -> Array:
+        """(K, 3) `T_world_laser` of the keyframes; a view."""
+        return np.asarray(self._keyframes["pose"][: self.count])
+
+    @property
+    def travelled_m(self) -> Array:
+        """(K,) way to each keyframe; a view."""
+        return np.asarray(self._keyframes["travelled_m"][: self.count])
+
+    @property
+    def is_kept(self) -> NDArray[np.bool_]:
+        """(K,) which keyframes are in the estimator's graph; the poses of others follow their neighbours'."""
+        return ~self._keyframes["is_out"][: self.count]
+
+    @property
+    def links(self) -> Rows:
+        """The links that the estimator has, rows of `LINK`."""
+        found = self._links[: self._link_count]
+        return np.asarray(found[found["stands"]])
 
     @property
     def usual_agreement(self) -> float:
@@ -110,314 +122,197 @@ class ScanGraph:
     def add(self, pose: Array, mount: Array) -> None:
         """Add the newest keyframe at `pose` (3,), `T_world_laser`, whose `mount` (3,) is `T_robot_laser`."""
         k = self.count
-        if k == len(self._rows):
-            self._rows, self._centres = _doubled(self._rows), _doubled(self._centres)
-            self._kept_rows = np.concatenate([self._kept_rows, np.ones_like(self._kept_rows)])
-        self._rows[k], self._mount = pose, mount
-        points = self.store.returns.points[k]
-        self._centres[k, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
+        if k == len(self._keyframes):
+            self._keyframes = _doubled(self._keyframes)
+        self._keyframes["pose"][k], self._mount = pose, mount
         self.count = k + 1
-        self.poses, self.is_kept = self._rows[: k + 1], self._kept_rows[: k + 1]
+
+    def moved(self, travel_m: float, position_m2: float, heading_rad2: float) -> None:
+        """Record the way to the newest keyframe, and the variances of position and heading of the motion to it."""
+        before, row = self._keyframes[self.count - 2 : self.count]
+        row["travelled_m"], row["step"] = before["travelled_m"] + travel_m, (position_m2, heading_rad2)
 
     def refresh(self) -> None:
-        """Take all poses from the estimator."""
+        """Read all poses from the estimator."""
         self.poses[:] = compose(self.estimator.trajectory(), self._mount)
-        self._refreshed, self._factors = self.count, None
+        self._refreshed, self._factor = self.count, self._fitted_factor()
 
-    def recent(self, key: int) -> Keys:
-        """The keyframes just before a keyframe, since the robot was last carried."""
-        return np.arange(max(self.first, key - LINKS), key)
-
-    def link(self, key: int, recent: Keys, old: Keys, closure: int | None) -> list[int]:
-        """Link a keyframe to recent ones and to old ones near it; ids of the links to old ones.
+    def link(self, key: int, old: Keys, closure: int) -> None:
+        """Link a keyframe to those before it, since the robot was last carried, and to old ones near it.
 
         Poses relative to it are known to some decimetres. All at once: each time costs the estimator a solution.
         """
+        recent = np.arange(max(self.first, key - LINKS), key)
         targets, is_old = np.concatenate([recent, old]), np.arange(len(recent) + len(old)) >= len(recent)
-        found = align_with(self.store.returns, targets, key, self.poses, NEAR_GATE_M)
-        is_good = found.agree(AGREEMENT, self.usual_agreement) & (~is_old | (found.moved_m < WIDE_GATE_M))
-        good = np.flatnonzero(is_good)
-        return self.give(found.rows(good), is_old[good], LOSS, closure)
+        self._link(key, targets, is_old, closure)
 
-    def give(self, found: Alignments, is_old: NDArray[np.bool_], loss_scale: float, closure: int | None) -> list[int]:
-        """Give aligned pairs to the estimator as links, of one pass or to old keyframes; the ids of the latter."""
+    def link_old(self, key: int, old: Keys, closure: int) -> None:
+        """Link a keyframe to old ones near it."""
+        if len(old):
+            self._link(key, old, np.ones(len(old), dtype=np.bool_), closure)
+
+    def _link(self, key: int, targets: Keys, is_old: NDArray[np.bool_], closure: int) -> None:
+        found = align_with(self.store.returns, targets, key, self.poses, NEAR_GATE_M)
+        good = found.agree(self.usual_agreement) & (~is_old | (found.moved_m < WIDE_GATE_M))
+        self.give(found.rows(good), is_old[good], closure)
+
+    def give(self, found: Alignments, is_old: NDArray[np.bool_], closure: int, closes: bool = False) -> None:
+        """Give aligned pairs to the estimator as links; those that close a loop without a loss.
+
+        The n links of a scan share its returns. They count as n / (1 + (n - 1) r) independent ones, at most 1 / r, for
+        a correlation r of two (a design effect; Kish, "Survey Sampling", 1965). Those that follow on others count as
+        what is left, so that the sum is the same in whatever order they come.
+        """
         if not len(is_old):
-            return []
-        # The links of a scan are together worth its alignment with a map of that many scans.
-        sources = found.sources.tolist()
-        shared_by = np.array([1.0 + len(self._of.get(key, ())) + sources.count(key) for key in sources])
-        scale = self.scale()
-        covs = scale * covariances(found.sums, shared_by, self._sigma_m)
-        links = [
-            KeyframeLink(
-                target, source, pose, cov, LinkKind.OLD if old else LinkKind.ONE_PASS, scale, closure if old else None
-            )
-            for target, source, pose, cov, old in zip(
-                found.targets.tolist(), sources, found.poses, covs, is_old.tolist(), strict=True
-            )
-        ]
-        ids = self._add(links, [loss_scale if old else LOSS for old in is_old])
-        # The newest poses have moved, and those that links lead to, which are read now; all are from time to time.
+            return
+        standing = self._links["stands"][: self._link_count]
+        counts = np.bincount(self._links["ends"][: self._link_count, 1][standing], minlength=self.count)
+        before = counts[found.sources]
+        after = before + np.bincount(found.sources)[found.sources]
+        rows = np.zeros(len(is_old), LINK)
+        rows["ends"] = np.column_stack([found.targets, found.sources])
+        rows["pose"] = found.poses
+        rows["weight"] = (_independent(after) - _independent(before)) / ((after - before) * self.factor())
+        rows["cov"] = covariances(found.hessians, self._sigma_m) / rows["weight"][:, None, None]
+        rows["is_old"], rows["closure"], rows["closes"] = is_old, np.where(is_old, closure, -1), closes
+        rows["stands"] = True
+        given = self.robot_links(rows)
+        rows["id"] = self.estimator.link(
+            [
+                Link(target, source, Odometry(Pose(*motion), cov), np.inf if closes else LOSS)
+                for (target, source), motion, cov in zip(
+                    given.ends.tolist(), given.motions.tolist(), given.covs, strict=True
+                )
+            ]
+        )
+        while self._link_count + len(rows) > len(self._links):
+            self._links = _doubled(self._links)
+        self._links[self._link_count : self._link_count + len(rows)] = rows
+        self._link_count, self._old = self._link_count + len(rows), None
+        if closes or self.count - self._refreshed >= PERIOD:
+            self.refresh()
+            return
+        # The newest poses have moved, and those that links lead to.
         keys = sorted({*range(max(0, self.count - LINKS - 1), self.count), *found.targets[is_old].tolist()})
         self.poses[keys] = compose(self.estimator.poses_at(keys), self._mount)
-        if self.count - self._refreshed >= _PERIOD:
-            self.refresh()
-        return [i for i, old in zip(ids, is_old, strict=True) if old]
 
-    def with_loss(self, ids: list[int], loss_scale: float) -> list[int]:
-        """Replace links by the same ones with another loss; their new ids."""
-        links = [self.links[i] for i in ids]
-        self._drop(ids)
-        new = self._add(links, [loss_scale] * len(links))
-        self.estimator.unlink(ids)
-        self.refresh()
-        return new
-
-    def remove(self, ids: list[int]) -> None:
+    def remove(self, links: Rows) -> None:
         """Take links back."""
-        self.estimator.unlink(ids)
-        self._drop(ids)
-        self.refresh()
+        self.estimator.unlink(links["id"].tolist())
+        self._drop(links["id"])
 
     def take_out(self, keys: list[int]) -> None:
         """Take keyframes out of the estimator's graph, with their links."""
-        self._drop(self.estimator.take_out(keys))
-        self.uncertainty.take_out(keys)
-        self.is_kept[keys] = False
+        lost = self.estimator.take_out(keys)
+        self._keyframes["is_out"][keys] = True
+        self._drop(np.array(lost, dtype=np.int64))
+
+    def _drop(self, ids: NDArray[np.int64]) -> None:
+        self._links["stands"] &= ~np.isin(self._links["id"], ids)
+        self._old = None
         self.refresh()
 
-    def _add(self, links: list[KeyframeLink], losses: list[float]) -> list[int]:
-        given = self.robot_links(links)
-        motions = [Odometry(Pose(*row), cov) for row, cov in zip(given.motions.tolist(), given.covs, strict=True)]
-        ids = self.estimator.link(
-            [Link(a.target, a.source, motion, loss) for a, motion, loss in zip(links, motions, losses, strict=True)]
-        )
-        self._tabulate(ids, links)
-        for i, link in zip(ids, links, strict=True):
-            self.links[i] = link
-            self._of.setdefault(link.source, []).append(i)
-            if link.kind is LinkKind.OLD:
-                position = largest_variance(link.cov)[0]
-                self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
-        return ids
-
-    def _tabulate(self, ids: Sequence[int], links: Sequence[KeyframeLink]) -> None:
-        """Keep new links as rows of arrays."""
-        while ids and max(ids) >= len(self._ends):
-            self._ends, self._motions = _doubled(self._ends), _doubled(self._motions)
-            self._roots, self._are_old = _doubled(self._roots), _doubled(self._are_old)
-        rows = np.array(ids, dtype=np.int64)
-        self._ends[rows] = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
-        self._motions[rows] = np.array([link.pose for link in links]).reshape(-1, 3)
-        self._roots[rows] = whitenings(np.array([link.cov for link in links]).reshape(-1, 3, 3))
-        self._are_old[rows] = [link.kind is LinkKind.OLD for link in links]
-
-    def robot_links(self, links: Sequence[KeyframeLink]) -> PoseLinks:
+    def robot_links(self, links: Rows) -> PoseLinks:
         """Links, between poses of the robot."""
-        ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
-        mount = triple(self._mount)
-        motions = [conjugate(mount, triple(link.pose)) for link in links]
+        mount, poses = triple(self._mount), links["pose"]
+        motions = [conjugate(mount, triple(pose)) for pose in poses]
         # The covariance of a link is in the axes of its target.
-        covs = [move_covariance(compose(mount, (0.0, 0.0, -link.pose[2])), link.cov) for link in links]
+        covs = [
+            move_covariance(compose(mount, (0.0, 0.0, -float(pose[2]))), cov)
+            for pose, cov in zip(poses, links["cov"], strict=True)
+        ]
+        ends = np.ascontiguousarray(links["ends"])
         return PoseLinks(ends, np.array(motions).reshape(-1, 3), np.array(covs).reshape(-1, 3, 3))
 
-    def _drop(self, ids: list[int]) -> None:
-        self.uncertainty.remove(ids)
-        for i in ids:
-            self._of[self.links.pop(i).source].remove(i)
-
-    def variance_factor(self) -> float:
-        """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
-
-        The a posteriori variance of unit weight of a least-squares adjustment: the weighted sum of the squares of the
-        links' whitened residuals over the redundancy, that of links less that of poses. The links of a keyframe to one
-        pass count once in it: what apparent poses do not take up is an error of the same returns in all of them (a
-        design effect as of samples in clusters; Kish, "Survey Sampling", 1965). The factor is 1 where the track has
-        broken or the robot was carried.
-        """
-        return self._variance_factors()[0]
-
-    def scale(self) -> float:
-        """What the variance of returns is to be multiplied with where scans stand beside wheels.
+    def factor(self) -> float:
+        """The variance factor of returns: what the covariances of scans are multiplied with, at least 1.
 
         Where scans fit each other worse than they state, as among crooked or moved things, they count less. Where they
-        fit better nothing is said: what all have in common does not show.
+        fit better that is no evidence: what all have in common does not show.
         """
-        return max(1.0, self._variance_factors()[1])
+        return max(1.0, self._factor)
 
-    def _variance_factors(self) -> tuple[float, float]:
-        """The variance factors of the links as the estimator has them, and before they were scaled."""
-        if self.first or self.count < 2:
-            return 1.0, 1.0  # the covariance of a motion that nothing has measured is as stated
-        if self._factors is None:
-            links = list(itertools.islice(reversed(self.links), _FACTOR_LINKS))
-            sources, are_old = self._ends[links, 1], self._are_old[links]
-            passes, keys = len(np.unique(2 * sources + are_old)), len(np.unique(sources))
-            redundancy = 3 * passes * (1.0 - keys / max(len(links), 1))
-            squares = self.squares(links)
-            # Weighted as in the graph: a few wrong links say nothing of the others. Of right ones so much is left.
-            squares /= _WEIGHTED * (1.0 + squares / LOSS**2)
-            unscaled = squares * np.array([self.links[i].scale for i in links])
-            now, before = ((float(s.sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR) for s in (squares, unscaled))
-            self._factors = now, before
-        return self._factors
+    def _fitted_factor(self) -> float:
+        """The a posteriori variance of unit weight of the last links, as of a least-squares adjustment.
 
-    def squares(self, ids: Sequence[int]) -> Array:
+        It is the sum of the squares of their residuals, whitened by the covariance that their returns alone give, over
+        the redundancy: the coordinates of the links less those of the poses that they bind. The factor is 1 where the
+        robot was carried: the covariance of a motion that nothing has measured is as stated.
+        """
+        links = self.links[-_FACTOR_LINKS:]
+        if self.first or not len(links):
+            return 1.0
+        squares = self.squares(links) / links["weight"]
+        redundancy = 3.0 * (len(links) - len(np.unique(links["ends"][:, 1])))
+        # Weighted as in the graph: a few wrong links are no evidence of the others. Of right ones so much is left.
+        squares /= _WEIGHTED * (1.0 + squares / (LOSS**2 * self._factor))
+        return float((squares.sum() + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR))
+
+    def squares(self, links: Rows) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""
-        rows = np.array(ids, dtype=np.int64)
-        off = self._motions[rows] - between(self.poses[self._ends[rows, 0]], self.poses[self._ends[rows, 1]])
+        before, after = (np.ascontiguousarray(self.poses[end]) for end in links["ends"].T)
+        off = links["pose"] - between(before, after).reshape(-1, 3)
         off[:, 2] = wrap_angle(off[:, 2])
-        return np.asarray(((self._roots[rows] @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
+        roots = whitenings(np.ascontiguousarray(links["cov"]))
+        return np.asarray(((roots @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
 
-    def linked_old(self, key: int) -> list[int]:
-        """Old keyframes that a keyframe is linked to."""
-        links = (self.links[i] for i in self._of.get(key, ()))
-        return [link.target for link in links if link.kind is LinkKind.OLD]
+    def linked_old(self, first: int, last: int) -> Keys:
+        """Old keyframes that those from `first` to `last` are linked to."""
+        ends = self._old_ends()
+        return np.asarray(ends[(ends[:, 1] >= first) & (ends[:, 1] <= last), 0])
+
+    def old_links(self) -> NDArray[np.int64]:
+        """(K,) number of links of each keyframe to old ones."""
+        return np.bincount(self._old_ends()[:, 1], minlength=self.count)
+
+    def _old_ends(self) -> NDArray[np.int64]:
+        """(n, 2) ends of the links to old keyframes."""
+        if self._old is None:
+            links = self._links[: self._link_count]
+            self._old = np.ascontiguousarray(links["ends"][links["stands"] & links["is_old"]])
+        return self._old
 
     def near_linked(self, key: int) -> Keys:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
-        around: set[int] = set()
-        for other in range(max(0, key - _AROUND), key):
-            for old in self.linked_old(other):
-                around.update(range(max(0, old - _AROUND), min(old + _AROUND + 1, key - OLD_AGE)))
-        candidates = np.array(sorted(around), dtype=np.int64)
-        return self.nearest(key, candidates[self.is_kept[candidates]])
+        old = self.linked_old(key - _AROUND, key - 1)
+        around = np.unique(old[:, None] + np.arange(-_AROUND, _AROUND + 1))
+        around = around[(around >= 0) & (around < key - OLD_AGE)]
+        return self.nearest(key, around[self.is_kept[around]])
 
     def nearest(self, key: int, candidates: Keys) -> Keys:
         """Those of the candidates whose views overlap that of a keyframe most, by their poses."""
-        off = between(self.poses[key], self.poses[candidates])
+        off = between(self.poses[key], self.poses[candidates]).reshape(-1, 3)
         distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
         near = np.flatnonzero((distance < REACH_M) & (turn < REACH_RAD))
         order = np.argsort(distance[near] + M_PER_RAD * turn[near], kind="stable")
         return candidates[near[order][:LINKS]]
 
-    def overlapping(self, key: int, pose: Array, candidates: Keys, reach_m: float) -> Keys:
-        """Rows of `candidates` whose views overlap that of keyframe `key` if it is at `pose` (3,), the most first.
+    def sigmas(self, key: int) -> tuple[Array, Array]:
+        """(K,) sigmas of position, m, and heading, rad, of keyframe `key` relative to each, along the best ways there.
 
-        What counts is the distance between the centres of what the scans see: a laser that looks forward sees from
-        either end of a corridor what is between. The pose and those in `poses` are of one frame.
+        The ways follow motions from keyframe to keyframe and links to old ones. An error of heading moves the position
+        by its distance from `key`, so that variances add up along a way (Dijkstra).
         """
-        seen = compose(self.poses[candidates], self._centres[candidates])[:, :2]
-        off = seen - compose(pose, self._centres[key])[:2]
-        distance = np.hypot(off[:, 0], off[:, 1])
-        turn = np.abs(wrap_angle(self.poses[candidates, 2] - pose[2]))
-        order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
-        return np.asarray(order[distance[order] < reach_m])
+        links = self.links
+        old, steps = links[links["is_old"]], np.arange(1, self.count)
+        ends = np.concatenate([np.column_stack([steps - 1, steps]), old["ends"]])
+        xx, yy, xy = (np.ascontiguousarray(old["cov"][:, i, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+        largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+        own = np.column_stack([largest, old["cov"][:, 2, 2]])
+        variances = np.concatenate([self._keyframes["step"][1 : self.count], own])
+        lever = self.poses[ends[:, 1], :2] - self.poses[key, :2]
+        costs = variances[:, 0] + variances[:, 1] * (lever**2).sum(axis=1), variances[:, 1]
+        shape = (self.count, self.count)
+        ways = (dijkstra(coo_array((cost, ends.T), shape).tocsr(), directed=False, indices=[key]) for cost in costs)
+        position, heading = (np.sqrt(way[0]) for way in ways)
+        return position, heading
 
 
-def _doubled(rows: NDArray[Any]) -> NDArray[Any]:
+def _independent(links: Keys) -> Array:
+    """(n,) how many independent links so many of one scan count as."""
+    return np.asarray(links / (1.0 + (links - 1.0) * _CORRELATION))
+
+
+def _doubled(rows: Rows) -> Rows:
     """The same rows with room for as many more."""
     return np.concatenate([rows, np.zeros_like(rows)])
-
-
-_CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
-
-
-class Closings:
-    """The loop closures so far. A link to an old keyframe belongs to the last of them, which made its pose known."""
-
-    def __init__(self, graph: ScanGraph) -> None:
-        self._graph = graph
-        self._own: dict[int, list[int]] = {}
-        """of each loop closure that stands: ids of the links that it was closed with"""
-        self._latest: int | None = None
-        self.accepted = 0
-        """loop closures accepted so far"""
-        self.undone = 0
-        """loop closures taken back so far"""
-
-    @property
-    def links(self) -> list[KeyframeLink]:
-        """Links to old keyframes."""
-        return [link for link in self._graph.links.values() if link.kind is LinkKind.OLD]
-
-    def own_keys(self) -> set[int]:
-        """Keyframes of the links that loops were closed with."""
-        return {key for own in self._own.values() for link in self._of(own) for key in (link.target, link.source)}
-
-    def link(self, key: int) -> None:
-        """Link a new keyframe to those before it, and to old ones around those that they are linked to."""
-        self._graph.link(key, self._graph.recent(key), self._graph.near_linked(key), self._latest)
-
-    def link_old(self, key: int, targets: Keys) -> None:
-        """Link a keyframe to old ones near it."""
-        if len(targets):
-            self._graph.link(key, NO_KEYS, targets, self._latest)
-
-    def close(self, links: list[tuple[Alignments, int]]) -> bool:
-        """Close a loop with the links of a place, rows of alignments; whether it stays closed."""
-        graph = self._graph
-        self._latest = closure = self.accepted
-        self.accepted += 1
-        broken = self._broken(closure)
-        given = graph.give(Alignments.of(links), np.ones(len(links), dtype=np.bool_), np.inf, closure)
-        ids = graph.with_loss(given, LOSS)
-        self._own[closure] = ids
-        while contradicted := [g for g in self._own if self._contradiction(g) > _CONTRADICTION]:
-            self._undo(max(contradicted, key=self._contradiction))
-        if closure in self._own and self._broken(closure) - broken > len(links):
-            self._undo(closure)
-        return closure in self._own
-
-    def _of(self, ids: list[int]) -> list[KeyframeLink]:
-        return [self._graph.links[i] for i in ids]
-
-    def _contradiction(self, g: int) -> float:
-        """Median squared Mahalanobis distance from the estimate of the links that a loop was closed with."""
-        own = self._own[g]
-        return float(np.median(self._graph.squares(own))) if own else 0.0
-
-    def _broken(self, newest: int) -> int:
-        """How many links of all loop closures but the newest one contradict the estimate."""
-        links = self._graph.links.items()
-        others = [i for i, link in links if link.kind is LinkKind.OLD and link.closure != newest]
-        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
-
-    def _undo(self, g: int) -> None:
-        """Take back a loop closure and all links that followed from it."""
-        del self._own[g]
-        self._graph.remove([i for i, link in self._graph.links.items() if link.closure == g])
-        self.undone += 1
-        if g == self._latest:
-            self._latest = max(self._own, default=None)
-
-
-_NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
-_ENOUGH = 8  # such keyframes
-_LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
-
-
-class Thinning:
-    """Which keyframes leave the graph."""
-
-    def __init__(self, graph: ScanGraph, closings: Closings) -> None:
-        self._graph, self._closings = graph, closings
-        self._next = 1
-        """the first keyframe that was not judged yet"""
-        self._spare: list[int] = []
-        """keyframes that will leave with the next ones"""
-
-    def look(self, key: int) -> None:
-        """Judge keyframes that are old enough at the newest one, `key`."""
-        for k in range(self._next, key - OLD_AGE + 1):
-            if self._is_spare(k) and k not in self._closings.own_keys():
-                self._spare.append(k)
-            self._next = k + 1
-        if self._spare:
-            # A loop may have been closed with some of them since they were judged.
-            own_keys = self._closings.own_keys()
-            self._spare = [k for k in self._spare if k not in own_keys]
-        if len(self._spare) >= _PERIOD:
-            self._graph.take_out(self._spare)
-            self._spare = []
-
-    def _is_spare(self, k: int) -> bool:
-        """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough."""
-        graph = self._graph
-        if any(len(graph.linked_old(j)) < _LEAST_OLD_LINKS for j in range(k, k + LINKS + 1)):
-            return False
-        kept = graph.is_kept[:k].copy()
-        kept[self._spare] = False
-        off = graph.poses[:k][kept] - graph.poses[k]
-        near = (np.hypot(off[:, 0], off[:, 1]) < _NEAR_M) & (np.abs(wrap_angle(off[:, 2])) < _NEAR_RAD)
-        return bool(np.count_nonzero(near) >= _ENOUGH)

@@ -1,13 +1,13 @@
-"""Search of a scan's place in what is known: among earlier passes, or in a map.
+"""Search of a scan's place among known scans: of earlier passes, or of an earlier run.
 
 Places are proposed by what they look like, and by how likely the robot is near them; what was seen on the last metres
-is searched for there by branch and bound. The scans of the last metres judge the places that are found: how much of
-what they and the known scans could both see they explain. The scans are followed back from the newest one, each aligned
-with known ones from where the one before it was. What the known scans could not have seen is no evidence, and what they
-saw through is evidence against the place: in the score of a submap both look alike. Two places are compared on the
-scans that tell about both, since a scan of which little is explained at one place has little explained at all places
-that look alike. A place is verified by pairs of scans that are aligned at it, see each other's surfaces, and agree
-about the pose. Places that are verified some metres apart must agree before one of them is believed.
+is searched for there by branch and bound. The scans of the last metres are the evidence: how much of what they and the
+known scans could both see lies on the same lines. They are followed back from the newest one, each aligned with known
+ones from where the one before it was. What the known scans could not have seen is no evidence, and what they saw
+through is evidence against the place: in the score of a submap both look alike. Two places are compared on the scans
+that are evidence about both, since a scan of which little is explained at one place has little explained at all places
+that look alike. Votes some metres apart must agree before a place is believed. The pairs of scans that aligned at it
+are its links.
 """
 
 from __future__ import annotations
@@ -23,83 +23,43 @@ from sixthsense.config import Config
 from sixthsense.config.parts import PLACE_SEARCHES
 from sixthsense.config.section import shown
 from sixthsense.config.tree import check_returned, part_of
-from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.se2 import between, compose, inverse
-from sixthsense.slam.scans.alignment import HITS
-from sixthsense.slam.scans.graph import AGREEMENT, REACH_M
-from sixthsense.slam.scans.links import LEAST_HITS, SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
-from sixthsense.slam.scans.places import NEAR_M, PLACE, Apart, Pyramid, Window, appearance, peaks, surfaces
-from sixthsense.slam.scans.returns import ScanStore
-from sixthsense.slam.scans.tracking import FREEDOM, NEAREST
-from sixthsense.slam.scans.visibility import explained
+from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import between, compose, inverse, triple
+from sixthsense.slam.scans.agreement import agreement
+from sixthsense.slam.scans.graph import REACH_M
+from sixthsense.slam.scans.known_places import (
+    BACK_M,
+    HALF_M,
+    LEAST_POINTS,
+    KnownPlaces,
+    PlacedScans,
+    of_last_metres,
+    overlapping,
+    surfaces_around,
+)
+from sixthsense.slam.scans.links import LEAST_PAIRS, SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
+from sixthsense.slam.scans.places import PLACE, Apart, Pyramid, Window, appearance, peaks
+from sixthsense.slam.scans.tracking import FREEDOM
 
-RECENT_M = 6.0
-"""travel of the submap that is searched for"""
-_RECENT_VOXEL_M = 0.2  # of these points, and of what places look like; those of old submaps are denser
-LEAST_POINTS = 60
-"""with fewer points of the last metres what is far away counts, too; with fewer even so there is no search"""
-_MOST_POINTS = 200
-ANCHORS_APART_M, HALF_M = 3.0, 5.0
-"""between the anchors of places, and around each of them to either side"""
-_CANDIDATES = 8
+_MOST_POINTS = 200  # of the last metres that are searched for
+_CANDIDATES = 8  # submaps that are searched
 SIGMAS = 2.0  # of a pose within a submap
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
 _PARTNERS = 2  # known scans that each is compared with
-BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back and votes count, and between two scans
-_SHIFT_M, _SHIFT_M_PER_M = 0.05, 0.08  # an alignment may shift a scan beyond the one before
-_SHIFT_RAD = 0.1
-_LEAST_SCANS = 3  # that tell about two places which are compared, where there are as many
+_EVERY_M = 1.0  # travel between two scans that are followed back
+_SHIFT_M, _SHIFT_M_PER_M, _SHIFT_RAD = 0.05, 0.08, 0.1  # an alignment may shift a scan beyond the one before
+_LEAST_SCANS = 3  # that are evidence about two places which are compared, where there are as many
 _CLEARLY = 0.32  # scans' worth of points that a place must explain beyond another one
-_SCANS_BEYOND = 6  # or this many scans more that tell about it
+_SCANS_BEYOND = 6  # or this many scans more that are evidence about it
+_LEAST_LINKS = 3  # of a vote
 
-_LEAST_GOOD, _GOOD_SHARE = 3, 0.4  # pairs that align, and their share of those that tell about the place
-
-NEW_M = 1.5  # travel that shows something new: between two votes that count both, and two searches of alike places
-NEAR = Apart(0.35, 0.06)  # poses that agree about a place
-
-
-class PlacedScans(Protocol):
-    """Scans with their poses."""
-
-    @property
-    def store(self) -> ScanStore:
-        """The scans, a row each."""
-
-    @property
-    def poses(self) -> Array:
-        """(K, 3) of their lasers."""
-
-    @property
-    def usual_agreement(self) -> float:
-        """Share of the returns, of those that are judged, that scans of one place usually agree in."""
-
-
-class Surroundings(Protocol):
-    """What is known of a place."""
-
-    def partners(self, key: int, at: Array, most: int) -> NDArray[np.int64]:
-        """Rows of up to `most` scans whose views overlap that of scan `key` if its laser is at `at` (3,)."""
-
-
-class KnownPlaces(Protocol):
-    """What is known, in places around anchors."""
-
-    @property
-    def anchors(self) -> Array:
-        """(n, 3) poses."""
-
-    @property
-    def looks(self) -> Array:
-        """(n, BINS) what the places look like."""
-
-    def submap(self, place: int, range_m: float) -> Pyramid:
-        """What is seen from a place, in its anchor's frame; `range_m` is how far returns are at most."""
-
-    def surroundings(self, place: int) -> Surroundings:
-        """What scans are compared with there."""
+NEW_M = 1.5
+"""travel that shows something new: between two votes that count both, and two searches of alike places"""
+NEAR = Apart(0.35, 0.06)
+"""poses that agree about a place"""
 
 
 class ExpectedPoses(NamedTuple):
@@ -135,18 +95,8 @@ class Candidate(NamedTuple):
     """(3,) of the newest scan's laser"""
     score: float
     """share of the points that are explained"""
-    known: Surroundings
-
-
-class Hypothesis(NamedTuple):
-    """The best pose of the newest scan."""
-
-    pose: Array
-    """(3,) of the laser"""
-    known: Surroundings
-    """what there is around it"""
-    is_ambiguous: bool
-    """whether another place is nearly as good"""
+    known: NDArray[np.int64]
+    """rows of the known scans around it"""
 
 
 class PlaceQuery(NamedTuple):
@@ -155,8 +105,6 @@ class PlaceQuery(NamedTuple):
     scans: PlacedScans
     key: int
     """row of the newest scan"""
-    travelled_m: Array
-    """(K,) at each scan"""
     places: KnownPlaces
     expected: ExpectedPoses
     """where the scan is by the track, in the frame of each place"""
@@ -168,7 +116,7 @@ class PlaceSearch(Protocol):
     """Proposes where the newest scan may be among what is known: among earlier passes, and where a robot is lost.
 
     It is made with an object of its `Options`, if it has any, and without arguments otherwise. What it proposes is no
-    evidence: the scans of the last metres judge it, pairs of scans verify it, and two that are metres apart must agree.
+    evidence: the scans of the last metres judge it, and two votes that are metres apart must agree.
 
     1. A candidate's `pose` (3,) is that of the scan's laser, m and rad, in the frame of `places.anchors`; `score` is
        between 0 and 1; `known` is `places.surroundings` of a place around it.
@@ -186,7 +134,7 @@ class BranchAndBound:
 
     def propose(self, query: PlaceQuery) -> Sequence[Candidate]:
         """Propose places that explain enough of what was seen."""
-        return proposed(*query)
+        return proposed(query)
 
 
 def place_search_of(config: Config) -> PlaceSearch:
@@ -208,46 +156,31 @@ def candidates_fault(found: object) -> str:
     return f"found scores {scores}, allowed: the best first" if scores != sorted(scores, reverse=True) else ""
 
 
-def best_place(query: PlaceQuery, search: PlaceSearch) -> Hypothesis | None:
-    """The best pose of the newest scan by all that `search` proposes; None if nothing is good enough."""
-    found = search.propose(query)
-    if not type(search).__module__.startswith("sixthsense."):
-        for one in found:
-            check_returned("place_search", "propose", one, Candidate, pose=(3,))
-    return judged(query.scans, followed_back(query.travelled_m, query.key), found) if found else None
-
-
-def proposed(
-    scans: PlacedScans,
-    key: int,
-    travelled_m: Array,
-    places: KnownPlaces,
-    expected: ExpectedPoses,
-    min_score: float,
-    least_points: int = LEAST_POINTS,
-) -> list[Candidate]:
-    """Different places where what was seen on the last metres up to scan `key` may be, the best score first."""
-    keys = of_last_metres(travelled_m, key)
+def proposed(query: PlaceQuery, least_points: int = LEAST_POINTS) -> list[Candidate]:
+    """Different places where what was seen on the last metres up to the newest scan may be, the best score first."""
+    scans, key, places, expected, min_score = query
+    keys = of_last_metres(scans.travelled_m, key)
     near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
     if len(near) < least_points:
         return []
-    points, looks = _thinned(near), []
+    rows = np.linspace(0, len(near) - 1, min(len(near), _MOST_POINTS)).astype(np.int64)
+    points, looks = np.ascontiguousarray(near[rows, :2]), list[tuple[int, Pyramid, Window]]()
     for place in likeliest(places, expected, appearance(near)):
         window = expected.window(place)
         if window is not None:
             looks.append((place, places.submap(place, range_m), window))
-    top, least = 0.0, min_score * scans.usual_agreement
+    top = least = min_score * scans.usual_agreement
     for _, submap, window in looks:
-        best = peaks(submap, points, window, max(least, top), PLACE, most=1)
-        top = max(top, float(best[0, 0]) if len(best) else 0.0)
+        best = peaks(submap, points, window, top, PLACE, most=1)
+        top = float(best[0, 0]) if len(best) else top
     # What is worth a comparison is known only now, and most searches stop at this test.
-    if top < least:
+    if top <= least:
         return []
     found: list[Candidate] = []
     for place, submap, window in looks:
-        rows, known = peaks(submap, points, window, _AS_GOOD * top, PLACE), places.surroundings(place)
-        placed = compose(places.anchors[place], rows[:, 1:])
-        found += [Candidate(pose, score, known) for pose, score in zip(placed, rows[:, 0].tolist(), strict=True)]
+        best, known = peaks(submap, points, window, _AS_GOOD * top, PLACE), places.surroundings(place)
+        placed = compose(places.anchors[place], best[:, 1:]).reshape(-1, 3)
+        found += [Candidate(pose, score, known) for pose, score in zip(placed, best[:, 0].tolist(), strict=True)]
     return distinct(found)
 
 
@@ -270,17 +203,6 @@ def likeliest(places: KnownPlaces, expected: ExpectedPoses, look: Array) -> list
     return chosen
 
 
-def judged(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequence[Candidate]) -> Hypothesis:
-    """The candidate, of at least one, that the scans `keys` explain best, and whether another one is nearly as good."""
-    if len(candidates) > _MOST_COMPARED:
-        return Hypothesis(candidates[0].pose, candidates[0].known, True)
-    found = evidence_of(scans, keys, np.array([c.pose for c in candidates]), [c.known for c in candidates])
-    said = sorted(zip(found, candidates, strict=True), key=lambda each: -each[0].weight)
-    most, best = said[0]
-    others = [other for other, _ in said[1:] if not is_same_place(most.pose, other.pose)]
-    return Hypothesis(most.pose, best.known, not all(most.is_clearly_better(other) for other in others))
-
-
 def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates of different places, the best score first; one more than are compared, at most."""
     chosen: list[Candidate] = []
@@ -297,35 +219,15 @@ def is_same_place(one: Array, other: Array) -> bool:
     return bool(PLACE.same(between(one, other)))
 
 
-def of_last_metres(travelled_m: Array, key: int) -> NDArray[np.int64]:
-    """The scans of the last metres before `key`, and itself; `travelled_m` (K,) is at each."""
-    return np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
-
-
-def surfaces_around(scans: PlacedScans, keys: NDArray[np.int64], at: Array) -> tuple[Array, float]:
-    """(N, 4) surfaces of scans in the frame of their poses `at` (n, 3), and how far returns are at most.
-
-    Where there is too little nearby, all that is seen counts.
-    """
-    near = surfaces(scans.store.returns, keys, at, _RECENT_VOXEL_M)
-    if len(near) >= LEAST_POINTS:
-        return near, NEAR_M
-    return surfaces(scans.store.returns, keys, at, _RECENT_VOXEL_M, math.inf), math.inf
-
-
-def _thinned(found: Array) -> Array:
-    """(N, 2) points of surfaces (M, 4), as many as are searched for."""
-    rows = np.linspace(0, len(found) - 1, min(len(found), _MOST_POINTS)).astype(np.int64)
-    return np.ascontiguousarray(found[rows, :2])
-
-
 class Evidence(NamedTuple):
-    """What scans say of a place."""
+    """How well scans fit a place."""
 
     pose: Array
     """(3,) of the newest scan, aligned"""
     shares: Array
-    """(n,) of what a scan and the old ones could both see: the part that is explained; NaN where that is too little"""
+    """(n,) of what a scan and the known ones could both see: the part on the same lines; NaN where too little is"""
+    links: tuple[Alignments, ...]
+    """the pairs of scans that aligned"""
 
     @property
     def weight(self) -> float:
@@ -341,6 +243,35 @@ class Evidence(NamedTuple):
         return int(np.isfinite(self.shares).sum()) - int(np.isfinite(other.shares).sum()) >= _SCANS_BEYOND
 
 
+class Hypothesis(NamedTuple):
+    """The best place of the newest scan."""
+
+    evidence: Evidence
+    is_ambiguous: bool
+    """whether another place is nearly as good"""
+
+
+def best_place(query: PlaceQuery, search: PlaceSearch) -> Hypothesis | None:
+    """The best pose of the newest scan by all that `search` proposes; None if nothing is good enough."""
+    candidates = search.propose(query)
+    if not type(search).__module__.startswith("sixthsense."):
+        for one in candidates:
+            check_returned("place_search", "propose", one, Candidate, pose=(3,))
+    if not candidates:
+        return None
+    return judged(query.scans, followed_back(query.scans.travelled_m, query.key), candidates)
+
+
+def judged(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequence[Candidate]) -> Hypothesis:
+    """The candidate, of at least one, that explains the scans `keys` best; whether another one is nearly as good."""
+    if len(candidates) > _MOST_COMPARED:
+        return Hypothesis(evidence_of(scans, keys[:1], candidates[:1])[0], True)
+    found = evidence_of(scans, keys, candidates)
+    best = max(found, key=lambda each: each.weight)
+    others = [each for each in found if not is_same_place(best.pose, each.pose)]
+    return Hypothesis(best, not all(best.is_clearly_better(other) for other in others))
+
+
 def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
     """Keyframes that are followed back from `key`, the newest first; `travelled_m` (K,) is at each keyframe."""
     keys = np.flatnonzero(travelled_m[: key + 1] >= travelled_m[key] - BACK_M - _EVERY_M)
@@ -349,115 +280,66 @@ def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
     return np.asarray(back, dtype=np.int64)
 
 
-def evidence_of(
-    scans: PlacedScans, keys: NDArray[np.int64], places: Array, known: Sequence[Surroundings]
-) -> list[Evidence]:
-    """What the scans `keys` say of each of the places (m, 3), poses of the first one in the frame of what is `known`.
+def evidence_of(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequence[Candidate]) -> list[Evidence]:
+    """How well the scans `keys`, the newest first, fit each of the candidates.
 
-    A place that explains clearly less than another one is not followed further back.
+    They are compared with scans from before all of them. A place that explains clearly less than another one is not
+    followed further back.
     """
-    poses, at, before = scans.poses, np.array(places, dtype=np.float64), int(keys[0])
-    shares, newest = np.full((len(at), len(keys)), np.nan), at.copy()
-    open_places = np.arange(len(at))
+    poses, before = scans.poses, int(keys[0])
+    at = np.array([candidate.pose for candidate in candidates], dtype=np.float64)
+    shares, newest, links = np.full((len(at), len(keys)), np.nan), at.copy(), [list[Alignments]() for _ in at]
+    open_places, known = np.arange(len(at)), [each.known[each.known < keys[-1]] for each in candidates]
     for n, key in enumerate(keys.tolist()):
         moved = between(poses[before], poses[key])
         most_m = WIDE_GATE_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
         for k in open_places.tolist():
-            shares[k, n], at[k] = _compared(scans, key, compose(at[k], moved), known[k], most_m)
+            placed = compose(at[k], moved)
+            shares[k, n], at[k], found = _compared(scans, key, placed, known[k], most_m)
+            links[k].append(found)
         if n == 0:
             newest = at.copy()
         best = shares[open_places[np.argmax(np.nansum(shares[open_places] - 0.5, axis=1))]]
         off = best - shares[open_places]
-        tells = np.isfinite(off).sum(axis=1) >= _LEAST_SCANS
-        open_places = open_places[~(tells & (np.nansum(off, axis=1) >= _CLEARLY))]
+        is_told = np.isfinite(off).sum(axis=1) >= _LEAST_SCANS
+        open_places = open_places[~(is_told & (np.nansum(off, axis=1) >= _CLEARLY))]
         before = key
-    return [Evidence(pose, row) for pose, row in zip(newest, shares, strict=True)]
+    return [Evidence(*each) for each in zip(newest, shares, map(tuple, links), strict=True)]
 
 
-def _compared(scans: PlacedScans, key: int, at: Array, known: Surroundings, most_m: float) -> tuple[float, Array]:
-    """The share that a scan at a pose and those around it explain, and its pose as aligned with them."""
-    targets = known.partners(key, at, _PARTNERS)
-    if not len(targets):
-        return np.nan, at
+def _compared(
+    scans: PlacedScans, key: int, at: Array, known: NDArray[np.int64], most_m: float
+) -> tuple[float, Array, Alignments]:
+    """The share that a scan at a pose and those around it explain, its pose as aligned with them, and its links."""
     poses, returns = scans.poses, scans.store.returns
-    off = between(poses[targets], at)
-    aligned = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
-    shift = between(off, aligned.poses)
+    targets = overlapping(scans, key, at, known)[:_PARTNERS]
+    off = between(poses[targets], at).reshape(-1, 3)
+    found = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
+    shift = between(off, found.poses).reshape(-1, 3)
     is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
-    is_near &= aligned.sums[:, HITS] >= LEAST_HITS
-    total, best, there = np.zeros(3), 0.0, at
-    for k, target in enumerate(targets.tolist()):
-        pair = aligned.poses[k] if is_near[k] else off[k]
-        found = explained(returns, target, key, pair) + explained(returns, key, target, inverse(pair))
-        total += found
-        if is_near[k] and found[0] > best:
-            best, there = found[0], compose(poses[target], pair)
-    share = float(total[0] / total[1]) if total[1] >= max(SEEN_SHARE * total[2], 1.0) else np.nan
-    return share, there
-
-
-class Verified(NamedTuple):
-    """A place that pairs of scans agree about."""
-
-    pose: Array
-    """(3,) of the newest scan"""
-    links: list[tuple[Alignments, int]]
-    """the alignments and their good rows"""
-
-
-def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hypothesis) -> Verified | None:
-    """Align the scans `recent`, moved with `key` to the hypothesis, with what is known around it.
-
-    None if too few pairs align, or if they do not agree.
-    """
-    moved = compose(found.pose, between(scans.poses[key], scans.poses[recent]))
-    targets, sources, starts = _pairs(scans, found, recent, moved)
-    poses = scans.poses
-    aligned = align_pairs(scans.store.returns, targets, sources, starts, WIDE_GATE_M)
-    # A robot that comes the other way sees little of what an old scan saw: pairs are judged by that alone.
-    tell = aligned.tell()
-    good = aligned.agree(AGREEMENT, scans.usual_agreement, least_seen=0.0) & tell
-    least = max(_LEAST_GOOD, _GOOD_SHARE * np.count_nonzero(tell))
-    if np.count_nonzero(good) < least:
-        return None
-    said = compose(compose(poses[targets], aligned.poses), between(poses[sources], poses[key]))
-    said[:, 2] = found.pose[2] + wrap_angle(said[:, 2] - found.pose[2])  # headings on both sides of half a turn
-    middle = np.median(said[good], axis=0)
-    good &= NEAR.same(said - middle)
-    rows = np.flatnonzero(good)
-    if len(rows) < least or len(set(sources[rows].tolist())) < 2:
-        return None
-    return Verified(middle, [(aligned, int(k)) for k in rows])
-
-
-def vote_for(scans: PlacedScans, key: int, travelled_m: Array, found: Hypothesis) -> Vote | None:
-    """A vote for a place of scan `key`, if those of the last metres agree about it; `travelled_m` (K,) is at each."""
-    good = verified(scans, key, of_last_metres(travelled_m, key), found)
-    return None if good is None else Vote(key, good.pose, float(travelled_m[key]), good.links)
-
-
-def _pairs(
-    scans: PlacedScans, found: Hypothesis, recent: NDArray[np.int64], moved: Array
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent scan is used."""
-    pairs = [
-        (target, int(recent[k]), k)
-        for k in range(len(recent) - 1, -1, -2)
-        for target in found.known.partners(int(recent[k]), moved[k], NEAREST).tolist()
-    ]
-    targets, sources, rows = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
-    old = ~np.isin(targets, recent)
-    return targets[old], sources[old], between(scans.poses[targets[old]], moved[rows[old]])
+    is_near &= found.totals[:, 1] >= LEAST_PAIRS
+    seen = found.seen.sum(axis=1)
+    for k in np.flatnonzero(~is_near).tolist():
+        pair, target = triple(off[k]), int(targets[k])
+        both = [agreement(returns, target, key, pair), agreement(returns, key, target, inverse(pair))]
+        seen[k] = np.array(both).sum(axis=0)
+    lines, hits, through, count = seen.sum(axis=0).tolist()
+    share = lines / (hits + through) if hits + through >= max(SEEN_SHARE * count, 1.0) else np.nan
+    if is_near.any():
+        best = int(np.argmax(np.where(is_near, seen[:, 0], -1.0)))
+        at = compose(poses[targets[best]], found.poses[best])
+    return share, at, found.rows(is_near & found.agree(scans.usual_agreement, least_seen=0.0))
 
 
 class Vote(NamedTuple):
-    """A place that was verified."""
+    """A place that was found."""
 
     key: int
     pose: Array
     """(3,) of that scan, in the frame of what is known"""
     travelled_m: float
-    links: list[tuple[Alignments, int]]
+    links: Alignments
+    """pairs of scans that aligned there"""
 
 
 class Votes:
@@ -467,10 +349,17 @@ class Votes:
         self._scans = scans
         self._votes: list[Vote] = []
 
-    def agreeing(self, vote: Vote) -> list[Vote]:
-        """Count a vote: those that say the same, if they are far enough apart and more than half; otherwise none."""
-        lasting = [each for each in self._votes if vote.travelled_m - each.travelled_m < BACK_M]
-        self._votes = [*lasting, vote]
+    def agreeing(self, key: int, found: Evidence) -> list[Vote]:
+        """Count a place of scan `key` as a vote; the votes that agree about it, if it is to be believed.
+
+        They must be far enough apart, and more than half of those of the last metres.
+        """
+        links = Alignments.joined(found.links)
+        compared = len(found.shares)  # after the start there are few scans to follow back
+        if len(links.targets) < min(_LEAST_LINKS, compared) or len(np.unique(links.sources)) < min(2, compared):
+            return []
+        vote = Vote(key, found.pose, float(self._scans.travelled_m[key]), links)
+        self._votes = [*(each for each in self._votes if vote.travelled_m - each.travelled_m < BACK_M), vote]
         agreeing = [each for each in self._votes if self._agree(each, vote)]
         span = vote.travelled_m - agreeing[0].travelled_m
         if span < NEW_M or 2 * len(agreeing) <= len(self._votes):
@@ -479,7 +368,7 @@ class Votes:
         return agreeing
 
     def _agree(self, one: Vote, newest: Vote) -> bool:
-        """Whether two votes say the same of the newest scan's pose."""
+        """Whether two votes agree about the newest scan's pose."""
         poses = self._scans.poses
-        said = compose(one.pose, between(poses[one.key], poses[newest.key]))
-        return bool(NEAR.same(between(said, newest.pose)))
+        moved = compose(one.pose, between(poses[one.key], poses[newest.key]))
+        return bool(NEAR.same(between(moved, newest.pose)))

@@ -20,9 +20,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.slam.scans.returns import Returns, bearings_at
+from sixthsense.slam.scans.returns import Returns
 
 CELL_M = 0.1
 VOXEL_M = 0.05  # of the points that a submap is made of
@@ -31,7 +32,7 @@ PEAK = 17  # of a cell with a point; sums of some thousand points fit into 16 bi
 NEAR_M = 12.0
 """farther returns are few, and their place depends on the heading"""
 _SIDE, _CORNER = 10, 6  # of the cells beside one with a point
-_HALF_CELLS = 1000  # of the square in which each voxel is taken once: 50 m of voxels of 0.05 m to either side
+_MOST_ROWS = 1 << 32  # of voxels, which are numbered
 
 
 class Pyramid(NamedTuple):
@@ -46,16 +47,19 @@ class Pyramid(NamedTuple):
     y0: float
 
 
-def submap_points(
-    returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float, range_m: float = NEAR_M
-) -> Array:
-    """(N, 2) points of keyframes in the frame of their poses `at` (n, 3), one per voxel, of returns within a range."""
-    return np.ascontiguousarray(surfaces(returns, keys, at, voxel_m, range_m)[:, :2])
-
-
 def surfaces(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float, range_m: float = NEAR_M) -> Array:
-    """(N, 4) as `submap_points`, with the normal of each point, (0, 0) where there is none."""
-    return np.asarray(_gathered(returns, keys, np.ascontiguousarray(at), voxel_m, range_m))
+    """(N, 4) points and normals of keyframes in the frame of their poses `at` (n, 3), the first one in each voxel.
+
+    Returns beyond `range_m` are left out; a point without a normal has (0, 0).
+    """
+    points, normals = returns.points[keys].astype(np.float64), returns.normals[keys].astype(np.float64)
+    (x, y, distance), (nx, ny, _) = (np.moveaxis(rows, -1, 0) for rows in (points, normals))
+    c, s = np.cos(at[:, 2:]), np.sin(at[:, 2:])
+    found = np.stack([at[:, :1] + c * x - s * y, at[:, 1:2] + s * x + c * y, c * nx - s * ny, s * nx + c * ny], axis=-1)
+    found = found[(distance > 0.0) & (distance <= range_m)]
+    column, row = np.floor(found[:, :2] / voxel_m).astype(np.int64).T
+    _, first = np.unique(column * _MOST_ROWS + row, return_index=True)
+    return np.asarray(found[np.sort(first)])
 
 
 def pyramid(points: Array) -> Pyramid:
@@ -67,38 +71,9 @@ def pyramid(points: Array) -> Pyramid:
     cells = BLOCK * (((points.max(axis=0) + CELL_M - low) / CELL_M).astype(np.int64) // BLOCK + 2)
     values = np.zeros((cells[0], cells[1]), dtype=np.uint8)
     _draw(points, float(low[0]), float(low[1]), values)
-    return Pyramid(values, _pooled(values), float(low[0]), float(low[1]))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: float, range_m: float) -> Array:
-    reach = 0.0
-    for k in range(len(keys)):
-        for i in range(bearings_at(returns, keys[k]).beams):
-            r = float(returns.points[keys[k], i, 2])
-            if reach < r <= range_m:
-                reach = r
-    apart = 0.0
-    for k in range(len(poses)):
-        apart = max(apart, abs(poses[k, 0]), abs(poses[k, 1]))
-    half = min(int((apart + reach) / voxel_m) + 2, _HALF_CELLS)
-    seen = np.zeros((2 * half, 2 * half), np.bool_)
-    out, n = np.empty((len(keys) * returns.points.shape[1], 4)), 0
-    for k in range(len(keys)):
-        c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
-        for i in range(bearings_at(returns, keys[k]).beams):
-            px, py, r = returns.points[keys[k], i, 0], returns.points[keys[k], i, 1], returns.points[keys[k], i, 2]
-            if r == 0.0 or r > range_m:
-                continue
-            x, y = poses[k, 0] + c * px - s * py, poses[k, 1] + s * px + c * py
-            column, row = int(np.floor(x / voxel_m)) + half, int(np.floor(y / voxel_m)) + half
-            if not (0 <= column < 2 * half and 0 <= row < 2 * half) or seen[column, row]:
-                continue
-            seen[column, row] = True
-            nx, ny = returns.normals[keys[k], i, 0], returns.normals[keys[k], i, 1]
-            out[n, 0], out[n, 1], out[n, 2], out[n, 3] = x, y, c * nx - s * ny, s * nx + c * ny
-            n += 1
-    return out[:n].copy()
+    pooled = maximum_filter(values, BLOCK, mode="constant", origin=-(BLOCK // 2))
+    blocks = pooled.reshape(cells[0] // BLOCK, BLOCK, cells[1] // BLOCK, BLOCK).transpose(1, 3, 0, 2)
+    return Pyramid(values, np.ascontiguousarray(blocks), float(low[0]), float(low[1]))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -111,25 +86,6 @@ def _draw(points: Array, x0: float, y0: float, values: NDArray[np.uint8]) -> Non
             for b in range(max(j - 1, 0), min(j + 2, rows)):
                 value = PEAK if a == i and b == j else (_SIDE if a == i or b == j else _CORNER)
                 values[a, b] = max(values[a, b], value)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _pooled(values: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The blocks' maxima, (BLOCK, BLOCK, n, m)."""
-    columns, rows = values.shape
-    along = np.zeros_like(values)
-    for i in range(columns):
-        for j in range(rows):
-            for k in range(j, min(j + BLOCK, rows)):
-                along[i, j] = max(along[i, j], values[i, k])
-    blocks = np.zeros((BLOCK, BLOCK, columns // BLOCK, rows // BLOCK), np.uint8)
-    for i in range(columns):
-        for j in range(rows):
-            value = along[i, j]
-            for k in range(i + 1, min(i + BLOCK, columns)):
-                value = max(value, along[k, j])
-            blocks[i % BLOCK, j % BLOCK, i // BLOCK, j // BLOCK] = value
-    return blocks
 
 
 STEP_RAD = 0.012
@@ -167,6 +123,10 @@ PLACE = Apart(0.7, 0.2)
 """of peaks: alignment leads to one pose from nearer ones"""
 
 
+PLACE = Apart(0.7, 0.2)
+"""of two places: alignment leads to one pose from nearer ones"""
+
+
 def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart, most: int = MOST_PEAKS) -> Array:
     """(m, 4) score and pose in the submap's frame of the `most` best places of points (N, 2) in the window, best first.
 
@@ -180,9 +140,14 @@ def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: 
     lowest = math.floor(least * PEAK * len(points))
     blocks = np.flatnonzero(bounds > lowest)
     blocks = blocks[np.argsort(-bounds.ravel()[blocks].astype(np.int32), kind="stable")]
-    found = _best_first(pyramid.values, turned, bounds, blocks, lowest, apart, most)
-    offsets = np.column_stack([found[:, 2:] * CELL_M, (found[:, 1] - turns // 2) * STEP_RAD])
-    return np.column_stack([found[:, 0] / (PEAK * len(points)), window.centre + offsets])
+    found = _best_cells(pyramid.values, turned, bounds, blocks, lowest, most == 1)
+    found = found[np.lexsort((found[:, 3], found[:, 2], found[:, 1], -found[:, 0]))]
+    kept, steps = list[NDArray[np.int64]](), np.array([CELL_M, CELL_M, STEP_RAD])
+    while len(found) and len(kept) < most:
+        kept.append(found[0])
+        found = found[~apart.same((found - found[0])[:, [2, 3, 1]] * steps)]
+    best = np.array(kept, dtype=np.int64).reshape(-1, 4) - np.array([0, turns // 2, 0, 0])
+    return np.column_stack([best[:, 0] / (PEAK * len(points)), window.centre + best[:, [2, 3, 1]] * steps])
 
 
 class Turned(NamedTuple):
@@ -216,81 +181,29 @@ def _bounds(blocks: NDArray[np.uint8], turned: Turned) -> NDArray[np.uint16]:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _best_first(
+def _best_cells(
     values: NDArray[np.uint8],
     turned: Turned,
     bounds: NDArray[np.uint16],
     blocks: NDArray[np.int64],
     least: int,
-    apart: Apart,
-    most: int,
+    only_best: bool,
 ) -> NDArray[np.int64]:
-    """(m, 4) sum, heading and cell of the best cells of `blocks`, indices of `bounds`, the largest bound first.
+    """(m, 4) sum, heading and cell of the best cell of each of `blocks`, indices of `bounds`, the largest bound first.
 
-    A block is looked into before a cell is taken that is not better than the block's bound. It is left out if it lies
-    around a better cell.
+    With `only_best` blocks are left out whose bound is not above the best sum so far.
     """
-    n, flat = bounds.shape[1], bounds.ravel()
-    kept, m = np.empty((most, 4), np.int64), 0
-    waiting, size = np.empty((len(blocks), 4), np.int64), 0  # in the order of the blocks, but for equal sums
-    sums = np.empty((BLOCK, BLOCK), np.uint16)
-    k, best = 0, -1  # the next block, and the best of those that wait
-    while m < most:
-        if k < len(blocks) and (best < 0 or flat[blocks[k]] >= waiting[best, 0]):
-            a, x, y = blocks[k] // (n * n), blocks[k] // n % n, blocks[k] % n
-            low_x, low_y = x * BLOCK - turned.cells, y * BLOCK - turned.cells
-            k += 1
-            if _is_near(kept[:m], a, low_x, low_y, BLOCK - 1, apart):
-                continue
-            total, at_x, at_y = _best_cell(values, turned, a, low_x, low_y, sums)
-            if total > least and not _is_near(kept[:m], a, at_x, at_y, 0, apart):
-                waiting[size, 0], waiting[size, 1], waiting[size, 2], waiting[size, 3] = total, a, at_x, at_y
-                if best < 0 or _is_before(waiting[size], waiting[best]):
-                    best = size
-                size += 1
-        elif best >= 0:
-            for j in range(4):
-                kept[m, j] = waiting[best, j]
-            m += 1
-            size, best = _remaining(waiting[:size], kept[m - 1 : m], apart)
-        else:
+    n, flat, best, m = bounds.shape[1], bounds.ravel(), least, 0
+    found, sums = np.empty((len(blocks), 4), np.int64), np.empty((BLOCK, BLOCK), np.uint16)
+    for block in blocks:
+        if only_best and flat[block] <= best:
             break
-    return kept[:m].copy()
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _remaining(waiting: NDArray[np.int64], taken: NDArray[np.int64], apart: Apart) -> tuple[int, int]:
-    """Move those that are not near the one taken to the front; how many they are, and which is the best, -1 if none."""
-    size, best = 0, -1
-    for q in range(len(waiting)):
-        if _is_near(taken, waiting[q, 1], waiting[q, 2], waiting[q, 3], 0, apart):
-            continue
-        for j in range(4):
-            waiting[size, j] = waiting[q, j]
-        if best < 0 or _is_before(waiting[size], waiting[best]):
-            best = size
-        size += 1
-    return size, best
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _is_before(one: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
-    """Whether the sum is larger, or the heading and cell come first."""
-    for k in range(4):
-        if one[k] != other[k]:
-            return bool((one[k] > other[k]) == (k == 0))
-    return False
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _is_near(kept: NDArray[np.int64], a: int, x: int, y: int, beyond: int, apart: Apart) -> bool:
-    """Whether all cells from (x, y) to `beyond` ahead, at heading a, are near one that was kept."""
-    for q in range(len(kept)):
-        dx = max(abs(x - kept[q, 2]), abs(x + beyond - kept[q, 2])) * CELL_M
-        dy = max(abs(y - kept[q, 3]), abs(y + beyond - kept[q, 3])) * CELL_M
-        if abs(a - kept[q, 1]) * STEP_RAD < apart.turn_rad and math.hypot(dx, dy) < apart.distance_m:
-            return True
-    return False
+        a, x, y = block // (n * n), block // n % n, block % n
+        total, at_x, at_y = _best_cell(values, turned, a, x * BLOCK - turned.cells, y * BLOCK - turned.cells, sums)
+        if total > least:
+            found[m, 0], found[m, 1], found[m, 2], found[m, 3] = total, a, at_x, at_y
+            best, m = max(best, total), m + 1
+    return found[:m].copy()
 
 
 @numba.njit(cache=True, error_model="numpy")

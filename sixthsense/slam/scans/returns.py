@@ -45,13 +45,6 @@ def bearings_of(scan: Scan) -> Bearings:
     return Bearings(min(float(scan.angle_min), last), spacing, count, closed, blind, max(1, round(count / _MOST_MOVED)))
 
 
-def full_turn(scan: Scan) -> Bearings:
-    """Cells all around, about as wide as those of a laser's beams."""
-    beams = max(round(2.0 * math.pi / abs(float(scan.angle_increment))), 1)
-    spacing = 2.0 * math.pi / beams
-    return Bearings(-math.pi, spacing, beams, True, 0.5 * spacing, max(1, round(beams / _MOST_MOVED)))
-
-
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def direction(x: float, y: float) -> float:
     """atan2(y, x) to 1.2e-5 rad, enough to find a cell, in a tenth of the time (Abramowitz and Stegun, eq. 4.4.49)."""
@@ -222,26 +215,32 @@ def _write(
 class ScanStore:
     """Keyframes, one row each; the row after the last one holds the newest scan until it is kept or replaced."""
 
-    def __init__(self, max_range_m: float, bearings: Bearings | None = None) -> None:
-        """Begin empty; returns beyond `max_range_m` are not used. Without `bearings` each scan has its own."""
-        self._max_range_m, self._bearings = max_range_m, bearings
-        self.returns = _zeros(_ROWS, 0 if bearings is None else bearings.beams)
+    def __init__(self, max_range_m: float) -> None:
+        """Begin empty; returns beyond `max_range_m` are not used."""
+        self._max_range_m = max_range_m
+        self.returns = _zeros(_ROWS, 0)
         """the arrays, with `count` scans, then the newest one, then rows without meaning"""
+        self.centres = np.zeros((_ROWS, 3))
+        """(n, 3) middle of what each scan sees, in its frame, as a pose without a turn"""
         self.count = 0
         """number of scans kept"""
 
     def put(self, scan: Scan) -> int:
         """Write a scan behind those that are kept; its row."""
-        bearings = self._bearings or bearings_of(scan)
+        bearings, row = bearings_of(scan), self.count
         rows, beams = self.returns.points.shape[:2]
-        if self.count == rows or bearings.beams > beams:
-            self.returns = _grown(self.returns, rows * (1 + (self.count == rows)), max(beams, bearings.beams))
+        if row == rows or bearings.beams > beams:
+            rows *= 1 + (row == rows)
+            self.returns = _grown(self.returns, rows, max(beams, bearings.beams))
+            self.centres = np.concatenate([self.centres, np.zeros((rows - len(self.centres), 3))])
         limit = min(self._max_range_m, scan.max_range)
-        _write(self.returns, self.count, bearings, scan.ranges, scan.bearings, limit)
-        return self.count
+        _write(self.returns, row, bearings, scan.ranges, scan.bearings, limit)
+        return row
 
     def keep(self) -> int:
         """Keep the newest scan; its row."""
+        points = self.returns.points[self.count]
+        self.centres[self.count, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
         self.count += 1
         return self.count - 1
 

@@ -1,15 +1,15 @@
 """Tracking: the pose of a scan among keyframes near it.
 
-Odometry proposes a pose, and the scans correct it. Poses that a scan may have are compared by their probability: that
-of the motion, by wheels which sometimes slip, and that of what the scan sees there, by what scans usually see. A scan
-may also tell nothing. If that is the likeliest, the scan is searched for in the submap of the last keyframes, and is
-left out if no place there is likelier.
+Odometry proposes a pose, and the scans correct it. A scan is aligned from a few starts, and the pose with the largest
+log-odds is taken: the probability of the motion, by wheels which sometimes slip, times that of what the scan sees
+there, by what scans usually see, over the probability of a motion as predicted whose scan is no evidence. The scan is
+lost if these are negative, and the wheels have slipped if that is the likelier motion.
 
-How large the errors of the wheels are in this run is learnt from what scans say of their motions. Wheels differ by more
-than a factor of ten. What is known of any wheels is where the estimate begins: two factors on the sigmas of that model,
-one of position and one of heading, are the maximum of the likelihood of the motions so far. It is found by expectation
-maximisation, with Student's distribution in place of the normal one: a motion that a slip has spoilt tells little of
-the others (Lange, Little and Taylor, "Robust statistical modeling using the t distribution", JASA 84, 1989).
+How large the errors of the wheels are in this run is learnt from the scans. Wheels differ by more than a factor of ten.
+What is known of any wheels is where the estimate begins: two factors on the sigmas of that model, one of position and
+one of heading, are the maximum of the likelihood of the motions so far. It is found by expectation maximisation, with
+Student's distribution in place of the normal one, so that a slip counts little (Lange, Little and Taylor, "Robust
+statistical modeling using the t distribution", JASA 84, 1989).
 """
 
 from __future__ import annotations
@@ -34,36 +34,33 @@ from sixthsense.core.se2 import (
     inverse_covariance,
     move_covariance,
     product,
-    put,
     triple,
     whitening,
     wrapped,
 )
-from sixthsense.slam.scans.alignment import SIGMA_M, SUMS, Prior, Views, align, solved, told
+from sixthsense.slam.scans.agreement import agreement_of, contradicted
+from sixthsense.slam.scans.alignment import SIGMA_M, Prior, Sums, Views, align
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
-from sixthsense.slam.scans.places import PLACE, VOXEL_M, Window, peaks, pyramid, submap_points
-from sixthsense.slam.scans.returns import bearings_at
-from sixthsense.slam.scans.visibility import Agreement, contradicted, judged
+from sixthsense.slam.scans.places import PLACE, VOXEL_M, Window, peaks, pyramid, surfaces
 
 SLIP_SIGMAS = 6.0
-"""scale of the loss on the odometry: wheels slip"""
+"""scale of the loss on the distance of a motion from that of the wheels; beyond it other starts are tried"""
 SLIP_M, SLIP_RAD = 0.5, 0.5
-"""sigmas of a motion that the odometry has missed"""
+"""sigmas of a motion that the wheels have missed"""
+LEAST_SCORE = 0.3
+"""share of the returns that a submap must explain where a scan is searched"""
+_MOST_PLACES, _NEAREST = 8, 3  # places in it that are tried, and keyframes that a scan is aligned with there
 _WEAK = 0.05  # weight of odometry that may have slipped
-_DOUBTED = 0.9  # a pose is doubted at which less than this part of what usually agrees does
-_SLIPS, _TELLS_NOTHING = 0.01, 0.05  # probability that wheels slip over a motion, and that a scan tells nothing
+_SLIPS, _NO_EVIDENCE = 0.01, 0.05  # probability that wheels slip over a motion, and that a scan is no evidence
 _CHANCE, _THROUGH = 0.15, 0.4  # share of judged returns that lie on lines, and that are seen through, at a wrong pose
 _LEAST_SHARE = 0.01  # that is usually seen through
+_DOUBTED = 0.1  # share of returns that are seen through, beyond the usual one, at which other starts are tried
 _NEWEST_SHARE = 0.02  # of the newest scan in what is usual
-_SURFACE = 5.0  # neighbouring returns that are of one surface: they tell about a pose together
-LEAST_SCORE = 0.3  # share of the returns that a submap must explain where a scan is searched
-_MOST = 8  # places in the submap that are looked at
-NEAREST = 3  # keyframes that a scan is aligned with at a place
-_FEW = 0.5 * FEW_RETURNS  # those of a link count both ways
-_LEAST = 1e-3  # 1/m^2, 1/rad^2: information of next to nothing
+_SURFACE = 5.0  # neighbouring returns of one surface, which are one piece of evidence
+_VARIES = 4.0  # pieces of evidence that what is usual of lines counts as
 FREEDOM = 4.0
 """degrees of freedom of Student's distribution of a motion: floors and loads change, wheels slip now and then"""
-_PRIOR, _MEMORY = 10.0, 200.0  # motions that the model of any wheels is worth, and that are remembered: floors differ
+_PRIOR, _MEMORY = 10.0, 200.0  # motions that the model of any wheels counts as, and that are remembered
 
 
 class WheelNoise:
@@ -76,27 +73,21 @@ class WheelNoise:
         """of position and heading, over those of the model"""
         self._count = _PRIOR
 
-    def measured(self, stated: Array, off: Array, left: Array, heading: float) -> None:
-        """Take in a motion whose error is `off` (3,), known up to the covariance `left` (3, 3).
+    def update(self, stated: Array, off: Array, left: Array, heading: float) -> None:
+        """Update with a motion of error `off` (3,), which is known up to the covariance `left` (3, 3).
 
-        `stated` (3, 3) is the covariance by the model, in the axes that the motion ends in. Those of the others are
-        turned back by `heading`: it is that of the end in them.
+        `stated` (3, 3) is the covariance by the model, axes of the laser where the motion ends, whose heading is
+        `heading` in those of the others.
         """
-        _learn(self._variances, self._count, stated, off, move_covariance((0.0, 0.0, -heading), left), heading)
+        turned, (c, s) = move_covariance((0.0, 0.0, -heading), left), (math.cos(heading), math.sin(heading))
+        x, y = c * off[0] + s * off[1], c * off[1] - s * off[0]
+        position = (x * x + turned[0, 0]) / stated[0, 0] + (y * y + turned[1, 1]) / stated[1, 1]
+        turn = (off[2] ** 2 + turned[2, 2]) / stated[2, 2]
+        totals, dimensions = np.array([position, turn]), np.array([2.0, 1.0])
+        weights = (FREEDOM + dimensions) / (FREEDOM + totals / self._variances)
+        self._variances += (weights * totals / dimensions - self._variances) / (self._count + 1.0)
         self.factors = np.sqrt(self._variances[[0, 0, 1]])
         self._count = min(self._count + 1.0, _MEMORY)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _learn(variances: Array, count: float, stated: Array, off: Array, left: Array, heading: float) -> None:
-    """Move `variances` (2,) by a motion, as the last of `count` others and this one."""
-    c, s = math.cos(heading), math.sin(heading)
-    x, y = c * off[0] + s * off[1], c * off[1] - s * off[0]
-    position = (x * x + left[0, 0]) / stated[0, 0] + (y * y + left[1, 1]) / stated[1, 1]
-    turn = (off[2] ** 2 + left[2, 2]) / stated[2, 2]
-    for k, n, total in ((0, 2.0, position), (1, 1.0, turn)):
-        weight = (FREEDOM + n) / (FREEDOM + total / variances[k])
-        variances[k] += (weight * total / n - variances[k]) / (count + 1.0)
 
 
 class LastScan(NamedTuple):
@@ -123,47 +114,114 @@ class Expected(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy")
 def expected(key: Array, last: LastScan, mount: Triple, since: Triple, cov: Array, factors: Array) -> Expected:
-    """What the odometry since the last keyframe, at `key` (3,) `T_world_laser`, says of the newest scan's pose.
+    """Compute what is known of the newest scan's pose by the odometry since the last keyframe.
 
-    `since` is the robot's motion from there, `cov` (3, 3) its covariance by wheels in general, `factors` (3,) are on
-    the sigmas of those of this run, and `mount` is `T_robot_laser`.
+    `key` (3,) is the keyframe's `T_world_laser`, `since` the robot's motion from there, `cov` (3, 3) its covariance by
+    wheels in general, `factors` (3,) are on the sigmas of the wheels of this run, and `mount` is `T_robot_laser`.
     """
-    back, begin, before = inverse(mount), triple(key), triple(last.pose)
+    back, before = inverse(mount), triple(last.pose)
     own = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             own[i, j] = cov[i, j] * (factors[i] * factors[j])
-    pose = np.array(compose(begin, conjugate(back, since)))
+    pose = np.array(compose(triple(key), conjugate(back, since)))
     information = inverse_covariance(move_covariance((0.0, 0.0, pose[2]), move_covariance(back, own)))
-    starts, moves = (
-        np.empty((3, 3)),
-        (conjugate(back, compose(inverse(last.since), since)), last.motion, (0.0, 0.0, 0.0)),
-    )
-    for k in range(len(moves)):
-        starts[k, 0], starts[k, 1], starts[k, 2] = compose(before, moves[k])
+    step = conjugate(back, compose(inverse(last.since), since))
+    starts = np.array((compose(before, step), compose(before, last.motion), before))
     return Expected(Prior(pose, information, SLIP_SIGMAS), starts, move_covariance(back, cov))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def informations_in_world(key_poses: Array, motions: Array, covs: Array, mount: Triple) -> Array:
-    """(m, 3, 3) informations, world axes, of the laser's motions from key poses (m, 3), `T_world_laser`.
-
-    `motions` (m, 3) and `covs` (m, 3, 3) are those of the robot, axes after each motion, and `mount` `T_robot_laser`.
-    """
-    out, back = np.empty((len(covs), 3, 3)), inverse(mount)
-    for k in range(len(covs)):
-        heading = key_poses[k, 2] + motions[k, 2]
-        put(out, k, inverse_covariance(move_covariance((0.0, 0.0, heading), move_covariance(back, covs[k]))))
-    return out
 
 
 class Usual(NamedTuple):
     """What scans lately had where they were tracked."""
 
     contradicted: float
-    """share of returns that contradict, of those that are judged"""
+    """share of returns that are seen through, of those that are judged"""
     lines: float
-    """share of the same that lie on lines of one keyframe"""
+    """share of the same that lie on lines"""
+
+
+class Tracked(NamedTuple):
+    """A scan's pose among keyframes."""
+
+    pose: Array
+    """(3,) `T_world_laser`"""
+    cov: Array
+    """(3, 3) of the error of (x, y, theta), world axes, by scans and odometry together"""
+    off: Array
+    """(3,) of the pose from the odometry, world axes"""
+    square: float
+    """squared Mahalanobis distance of the pose from the odometry"""
+    log_odds: float
+    """log of the probability of this pose over that of a motion as predicted whose scan is no evidence"""
+    contradicted: float
+    """share of the returns that are seen through, of those that are judged"""
+    lines: float
+    """share of the same that lie on lines"""
+    has_slipped: bool
+    """whether it is likelier that the wheels have slipped than that they have not"""
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it is likelier that the scan is no evidence than that it is from this pose."""
+        return self.log_odds < 0.0
+
+    def usual(self, before: Usual) -> Usual:
+        """What scans usually have, this one included."""
+        return Usual(
+            before.contradicted + _NEWEST_SHARE * (self.contradicted - before.contradicted),
+            before.lines + _NEWEST_SHARE * (self.lines - before.lines),
+        )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: bool) -> Tracked:
+    """The likeliest pose of a scan among keyframes.
+
+    `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. The pose from there is taken if
+    the wheels allow it and no more than usually is contradicted, and otherwise that from the prior's own pose, held by
+    the prior: someone who walks ahead in a corridor is seen where he was, and nothing else holds the scan. Then all
+    starts are tried with a wide gate and little weight of the odometry. `is_guess` is whether nothing has measured the
+    prior.
+    """
+    best = tracked_at(views, prior, prior, starts[0], NEAR_GATE_M, usual, is_guess)
+    if _is_usual(best, usual):
+        return best
+    firm, weak = Prior(prior.pose, prior.information, np.inf), Prior(prior.pose, _WEAK * prior.information, SLIP_SIGMAS)
+    held = tracked_at(views, prior, firm, prior.pose, NEAR_GATE_M, usual, is_guess)
+    if _is_usual(held, usual):
+        return held
+    if held.log_odds > best.log_odds:
+        best = held
+    for k in range(len(starts)):
+        other = tracked_at(views, prior, weak, starts[k], WIDE_GATE_M, usual, is_guess)
+        if other.log_odds > best.log_odds:
+            best = other
+    return best
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_usual(found: Tracked, usual: Usual) -> bool:
+    """Whether the wheels allow a pose, and no more than usually is contradicted."""
+    return found.square <= SLIP_SIGMAS**2 and found.contradicted < usual.contradicted + _DOUBTED
+
+
+def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
+    """The likeliest pose of a scan in the submap of the targets, of which there is one at least, within a slip.
+
+    Each place where enough of its returns fit the submap is tried.
+    """
+    returns, loose = views.returns, Prior(prior.pose, np.diag([SLIP_M**-2, SLIP_M**-2, SLIP_RAD**-2]), math.inf)
+    points, own = returns.points[views.source], surfaces(returns, views.targets, between(prior.pose, views.at), VOXEL_M)
+    window = Window(np.zeros(3), SIGNIFICANT * SLIP_M, SIGNIFICANT * SLIP_RAD)
+    submap, seen = pyramid(np.ascontiguousarray(own[:, :2])), points[points[:, 2] > 0.0, :2].astype(np.float64)
+    rows = peaks(submap, seen, window, LEAST_SCORE, PLACE, _MOST_PLACES) if len(seen) else np.zeros((0, 4))
+    places, found = [prior.pose, *compose(prior.pose, rows[:, 1:]).reshape(-1, 3)], list[Tracked]()
+    for place in places:
+        off = views.at - place
+        near = np.argsort(np.hypot(off[:, 0], off[:, 1]) + np.abs(wrap_angle(off[:, 2])), kind="stable")[:_NEAREST]
+        around = views._replace(targets=views.targets[near], at=views.at[near])
+        found.append(tracked_at(around, prior, loose, place, WIDE_GATE_M, usual, is_guess))
+    return max(found, key=lambda each: each.log_odds)
 
 
 class Aligned(NamedTuple):
@@ -172,198 +230,59 @@ class Aligned(NamedTuple):
     pose: Array
     """(3,) of the laser, frame of the others' poses"""
     information: Array
-    """(3, 3) of the error of (x, y, theta), same axes, by the scans alone; what the normals' noise adds is left out"""
-    off: Array
-    """(3,) of the pose from the prior's"""
-    slip: float
-    """squared Mahalanobis distance of the pose from the prior"""
-    support: float
-    """share of the returns that lie on lines of one of the others"""
-    returns: int
-    """of the scan"""
-    agreement: Agreement
-    """with the others, by visibility"""
-
-
-class Tracked(NamedTuple):
-    """A scan's pose among keyframes, and what it is worth."""
-
-    pose: Array
-    """(3,) `T_world_laser`"""
-    information: Array
-    """(3, 3) of the error of (x, y, theta), world axes, by the scans alone"""
-    cov: Array
-    """(3, 3) of the same error by scans and odometry together"""
-    off: Array
-    """(3,) of the pose from the odometry, world axes"""
-    slip: float
-    """squared Mahalanobis distance of the odometry from the pose"""
-    has_slipped: bool
-    """whether it is likelier that the wheels have slipped"""
-    log_odds: float
-    """log of the probability of this pose over that of a motion as predicted whose scan tells nothing"""
-    is_doubted: bool
-    """whether less agrees than usually"""
-    is_firm: bool
-    """whether it is where the odometry may well have led to, and is not doubted"""
-    is_lost: bool
-    """whether it is likelier that the scan tells nothing than that it is from this pose"""
-    usual: Usual
-    """what scans usually have, this one included"""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: bool) -> Tracked:
-    """The pose of a scan among keyframes.
-
-    `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. A pose that agrees as usual
-    with what is seen and with the wheels is taken at once. Otherwise the other starts are tried with a wide gate, and
-    so is the odometry's own pose. `is_guess` is whether nothing has measured the prior.
-    """
-    best = _judged(aligned(views, prior, starts[0], NEAR_GATE_M), prior, usual, is_guess)
-    if best.is_firm:
-        return best
-    weak = prior.information.copy()
-    for i in range(3):
-        for j in range(3):
-            weak[i, j] *= _WEAK
-    by, start, gate_m = Prior(prior.pose, prior.information, np.inf), prior.pose, NEAR_GATE_M
-    for k in range(len(starts) + 1):
-        if k > 0:
-            by, start, gate_m = Prior(prior.pose, weak, prior.slip_sigmas), starts[k - 1], WIDE_GATE_M
-        other = _judged(aligned(views, by, start, gate_m), prior, usual, is_guess)
-        best = other if is_likelier(other, best) else best
-    return best
-
-
-@numba.njit(cache=True, error_model="numpy")
-def is_likelier(one: Tracked, other: Tracked) -> bool:
-    """Whether a pose is likelier than another; those that the wheels allow and nothing contradicts come first.
-
-    Someone who walks ahead in a corridor is seen where he was, and nothing contradicts the wheels.
-    """
-    if one.is_firm != other.is_firm:
-        return one.is_firm
-    return one.log_odds > other.log_odds
-
-
-def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
-    """The pose of a scan in the submap of the targets, where it contradicts them near the odometry."""
-    returns, source, targets, at = views.returns, views.source, views.targets, views.at
-    own = returns.points[source]
-    own = own[own[:, 2] > 0.0, :2].astype(np.float64)
-    firm = prior._replace(slip_sigmas=np.inf)
-    found = aligned(_nearest(views, prior.pose), firm, prior.pose, NEAR_GATE_M)
-    best = _judged(found, prior, usual, is_guess)
-    if len(own) and len(targets):
-        points = submap_points(returns, targets, between(prior.pose, at), VOXEL_M)
-        window = Window(np.zeros(3), SIGNIFICANT * SLIP_M, SIGNIFICANT * SLIP_RAD)
-        loose = Prior(prior.pose, np.diag([SLIP_M**-2, SLIP_M**-2, SLIP_RAD**-2]))
-        for row in peaks(pyramid(points), own, window, LEAST_SCORE, PLACE, _MOST):
-            place = compose(prior.pose, row[1:])
-            other = _judged(aligned(_nearest(views, place), loose, place, WIDE_GATE_M), prior, usual, is_guess)
-            best = other if is_likelier(other, best) else best
-    return best
-
-
-def _nearest(views: Views, pose: Array) -> Views:
-    """The views with the targets that are nearest to a pose."""
-    off = views.at - pose
-    order = np.argsort(np.hypot(off[:, 0], off[:, 1]) + np.abs(wrap_angle(off[:, 2])), kind="stable")[:NEAREST]
-    return views._replace(targets=views.targets[order], at=views.at[order])
-
-
-def refine(views: Views, prior: Prior) -> Aligned:
-    """As `track`, from the prior's pose, which is nearly right."""
-    return aligned(views, prior, prior.pose, 0.0)
+    """(3, 3) of the error of (x, y, theta), same axes, by the scans alone; positive semi-definite"""
 
 
 @numba.njit(cache=True, error_model="numpy")
 def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Aligned:
     """The pose that a scan is aligned at among others from `start` (3,), with partners up to `gate_m` at first."""
-    pose, sums = start.copy(), np.zeros(SUMS)
-    most = align(views, prior, gate_m, False, pose, sums)
-    off = _off(prior, pose)
-    information = told(sums, SIGMA_M**2 * views.factor * max(1, len(views.targets)))
-    count, bearings = 0, bearings_at(views.returns, views.source)
-    for k in range(0, views.returns.points.shape[1], bearings.stride):
-        count += views.returns.points[views.source, k, 2] != 0.0
-    hits, violations = judged(views, pose)
-    slip = _square(prior.information, off)
-    return Aligned(pose, information, off, slip, most / max(count, 1), count, Agreement(hits, violations))
+    pose, sums = start.copy(), Sums(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3))
+    align(views, prior, gate_m, False, pose, sums)
+    values, axes = eigen(sums.hessian - sums.feigned)
+    for k in range(3):
+        values[k] = max(values[k], 0.0) / (SIGMA_M**2 * views.factor * max(1, len(views.targets)))
+    return Aligned(pose, in_axes(values, axes))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _off(prior: Prior, pose: Array) -> Array:
-    return np.array((pose[0] - prior.pose[0], pose[1] - prior.pose[1], wrapped(pose[2] - prior.pose[2])))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _square(information: Array, off: Array) -> float:
-    """Squared Mahalanobis distance."""
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += off[i] * information[i, j] * off[j]
-    return total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _judged(found: Aligned, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
-    """What an aligned pose is worth beside a prior; remapped if that is a guess."""
-    hits, through = found.agreement
-    slip, slipping = _square(prior.information, found.off), _slipping(prior, found.off)
-    # Of those that are judged, the returns that lie on lines of one keyframe.
-    judged = hits + through
-    lines = min(found.support * found.returns, judged)
-    told = _log_ratio(hits, through, 1.0 - max(usual.contradicted, _LEAST_SHARE), 1.0 - _THROUGH)
-    # From farther away fewer returns lie on lines than usually: that is no evidence against a pose.
-    told += _log_ratio(lines, judged - lines, min(lines / max(judged, 1.0), usual.lines), _CHANCE)
-    log_odds = max(slipping, _rolling(slip)) + told / _SURFACE - math.log(_TELLS_NOTHING)
-    share = contradicted(hits, through)
-    is_doubted = share > 1.0 - _DOUBTED * (1.0 - usual.contradicted)
-    is_firm = slip <= SLIP_SIGMAS**2 and not is_doubted
-    pose, off, (values, axes) = found.pose, found.off, eigen(found.information)
-    information = found.information
-    if values[0] < 0.0:  # which is rounding
-        information = in_axes(_at_least(values, 0.0), axes)
+def tracked_at(
+    views: Views, prior: Prior, by: Prior, start: Array, gate_m: float, usual: Usual, is_guess: bool
+) -> Tracked:
+    """A scan as aligned from a start with the prior `by`, and its log-odds by `prior`; arguments as in `track`."""
+    pose, information = aligned(views, by, start, gate_m)
+    off = np.array((pose[0] - prior.pose[0], pose[1] - prior.pose[1], wrapped(pose[2] - prior.pose[2])))
+    agreed = agreement_of(views, pose)
+    judged, share = agreed.hits + agreed.through, contradicted(agreed.hits, agreed.through)
     if is_guess:
-        off, information = _remapped(values, axes, prior, off)
+        off, information = _remapped(information, prior, off)
         x, y, theta = triple(prior.pose)
         pose = np.array((x + off[0], y + off[1], wrapped(theta + off[2])))
-        slip, slipping = _square(prior.information, off), _slipping(prior, off)
-    cov = inverse_covariance(added(prior.information, information))
-    newest = Usual(
-        usual.contradicted + _NEWEST_SHARE * (share - usual.contradicted),
-        usual.lines + _NEWEST_SHARE * (lines / max(judged, 1.0) - usual.lines),
-    )
-    has_slipped = slipping > _rolling(slip)
-    is_lost = log_odds < 0.0
-    return Tracked(pose, information, cov, off, slip, has_slipped, log_odds, is_doubted, is_firm, is_lost, newest)
+    pull = product(prior.information, off)
+    square = off[0] * pull[0] + off[1] * pull[1] + off[2] * pull[2]
+    right = 1.0 - max(usual.contradicted, _LEAST_SHARE)
+    seen = _log_ratio(agreed.hits / _SURFACE, agreed.through / _SURFACE, right, 1.0 - _THROUGH)
+    seen += _log_ratio_of_any(agreed.lines / _SURFACE, (judged - agreed.lines) / _SURFACE, usual.lines, _CHANCE)
+    slipping, rolling = _slipping(prior, off), _rolling(square)
+    log_odds = max(slipping, rolling) + seen - math.log(_NO_EVIDENCE)
+    cov, lines = inverse_covariance(added(prior.information, information)), agreed.lines / max(judged, 1.0)
+    return Tracked(pose, cov, off, square, log_odds, share, lines, slipping > rolling)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _remapped(values: Array, axes: Array, prior: Prior, off: Array) -> tuple[Array, Array]:
-    """The distance from the prior, and the information, where what few returns tell of is left to the prior.
-
-    `values` (3,) and `axes` (3, 3), in columns, are those of the information.
+def _remapped(information: Array, prior: Prior, off: Array) -> tuple[Array, Array]:
+    """The distance from the prior, and the information, where what few returns observe is left to the prior.
 
     Along a corridor a few wrong partners hold a scan where it was. Solution remapping, Zhang, Kaess and Singh 2016,
     "On degeneracy of optimization-based state estimation problems", with information in place of a threshold.
     """
-    values, left, share = _at_least(values, _LEAST), np.empty(3), np.empty(3)
+    values, axes = eigen(information)
+    left, share = np.empty(3), np.empty(3)
     for i in range(3):
-        left[i] = max(values[i] - _FEW / SIGMA_M**2, 0.0)
-        share[i] = left[i] / values[i]
-    information = in_axes(left, axes)
-    by_scans = product(in_axes(share, axes), product(added(prior.information, in_axes(values, axes)), off))
-    return solved(added(prior.information, information), by_scans), information
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _at_least(values: Array, least: float) -> Array:
-    """(3,) numbers, those below a limit at it."""
-    return np.array((max(values[0], least), max(values[1], least), max(values[2], least)))
+        left[i] = max(values[i] - 0.5 * FEW_RETURNS / SIGMA_M**2, 0.0)
+        share[i] = left[i] / max(values[i], 1e-3)
+    told = in_axes(left, axes)
+    by_scans = product(in_axes(share, axes), product(added(prior.information, information), off))
+    return product(inverse_covariance(added(prior.information, told)), by_scans), told
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -371,6 +290,18 @@ def _log_ratio(yes: float, no: float, right: float, wrong: float) -> float:
     """Log of the likelihood ratio of counts, for a share `right` at a right pose, which is larger, and `wrong`."""
     right = max(right, wrong)
     return float(yes * math.log(right / wrong) + no * math.log((1.0 - right) / (1.0 - wrong)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _log_ratio_of_any(yes: float, no: float, right: float, wrong: float) -> float:
+    """As `_log_ratio`, for a share at a right pose that varies about `right` from scan to scan: beta-binomial.
+
+    From farther away fewer returns lie on lines.
+    """
+    a, b = _VARIES * right, _VARIES * (1.0 - right)
+    of_right = math.lgamma(a + yes) - math.lgamma(a) + math.lgamma(b + no) - math.lgamma(b)
+    of_right += math.lgamma(_VARIES) - math.lgamma(_VARIES + yes + no)
+    return float(of_right - yes * math.log(wrong) - no * math.log(1.0 - wrong))
 
 
 @numba.njit(cache=True, error_model="numpy")

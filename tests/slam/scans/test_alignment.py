@@ -1,7 +1,6 @@
-"""Normals, point-to-line alignment of two scans, its covariance, and the see-through test."""
+"""Normals, point-to-line alignment of scans, its covariance, and the agreement of two scans."""
 
 import math
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -9,23 +8,18 @@ from rooms import CORRIDOR, HALF, ROOM, ROUND, scan_at, stored
 from scipy.stats import chi2
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.slam.scans.alignment import (
-    GRADIENT,
-    HESSIAN,
-    HITS,
-    SQUARES,
-    SUMS,
-    WEIGHT,
-    Loss,
-    add_one_way,
-    partners_of,
-)
+from sixthsense.core.se2 import inverse, triple
+from sixthsense.slam.scans.agreement import agreement, agreement_of, contradicted
+from sixthsense.slam.scans.alignment import Prior, Sums, Views, add_all, align, no_sums, partners_of
 from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances, private_covariance, reported
-from sixthsense.slam.scans.returns import bearings_at, direction
-from sixthsense.slam.scans.visibility import compare_views
+from sixthsense.slam.scans.returns import Bearings, bearings_at, direction, fit_normals
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
 LASERS = pytest.mark.parametrize("laser", [ROUND, HALF], ids=["full circle", "half circle"])
+POSES = [A, Pose(-0.7, -0.1, -0.3), B]
+AT = np.array([[0.9, -1.2, 2.1], (Pose(0.9, -1.2, 2.1) @ A.inverse() @ POSES[1]).array()])
+"""poses of the first two, in a frame of their own"""
+SOUGHT = Pose(*AT[0]) @ A.inverse() @ B @ Pose(0.02, -0.015, 0.012)
 
 
 def pair(laser, rng=None, a=A, b=B, walls=ROOM):
@@ -34,54 +28,83 @@ def pair(laser, rng=None, a=A, b=B, walls=ROOM):
     ).array()
 
 
-def reference(returns, target, source, pose, loss):
-    """The sums of `add_one_way`, with the partner sought among all returns of the target."""
+def views(laser):
+    rng = np.random.default_rng(4)
+    return Views(stored(*(scan_at(pose, ROOM, laser, rng=rng) for pose in POSES)).returns, 2, np.arange(2), AT)
+
+
+def of_one(sums):
+    return Sums(*(part[0] for part in sums))
+
+
+def plain_sums(seen, pose, gate_m, both):
+    """The sums of `add_all` with the same partners: of each residual's value and derivatives by finite differences."""
+    returns, sums = seen.returns, of_one(no_sums(1))
     points, normals = returns.points.astype(float), returns.normals.astype(float)
-    rows, seen = [], points[target, :, 2] > 0
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    for k in range(0, points.shape[1], bearings_at(returns, source).stride):
-        if points[source, k, 2] == 0:
-            continue
-        arm = np.array([[c, -s], [s, c]]) @ points[source, k, :2]
-        gap = np.where(seen, np.linalg.norm(pose[:2] + arm - points[target, :, :2], axis=1), np.inf)
-        q = gap.argmin()
-        n = normals[target, q, :2]
-        turned = np.array([[c, -s], [s, c]]) @ normals[source, k, :2]
-        if gap[q] >= loss.gate_m or not n.any() or (turned.any() and turned @ n < 0.7):
-            continue
-        r = n @ (pose[:2] + arm - points[target, q, :2])
-        rows.append((q, r, np.array([*n, n @ [-arm[1], arm[0]]])))
-    sums, shared = np.zeros(SUMS), Counter(q for q, _, _ in rows)
-    for q, r, row in rows:
-        pairs = 2 / (1 + shared[q])
-        w = pairs / (1 + (r / loss.scale_m) ** 2)
-        sums[HESSIAN:GRADIENT] += w * np.outer(row, row)[np.triu_indices(3)]
-        sums[GRADIENT:WEIGHT] += w * row * r
-        sums[[WEIGHT, HITS, SQUARES]] += w, pairs, w * r * r
+    for target, at in zip(seen.targets, seen.at, strict=True):
+        relative = (Pose(*at).inverse() @ Pose(*pose)).array()
+        ways = [(target, seen.source, relative)]
+        if both:
+            ways.append((seen.source, target, Pose(*relative).inverse().array()))
+        for onto, moved, way in ways:
+            partners, shared = partners_of(returns, onto, moved, way, gate_m)
+            for i in np.flatnonzero(partners >= 0):
+                q, point = partners[i], points[moved, i * bearings_at(returns, moved).stride, :2]
+                n = normals[onto, q, :2]
+
+                def off(x, n, onto=onto, point=point, q=q, at=at):
+                    T = Pose(*at).inverse() @ Pose(*x)
+                    return n @ ((T if onto != 2 else T.inverse()) @ point - points[onto, q, :2])
+
+                rows = [[(off(pose + h, line) - off(pose - h, line)) / 2e-6 for h in 1e-6 * np.eye(3)]
+                        for line in (n, np.array([-n[1], n[0]]))]  # fmt: skip
+                row, quarter = np.array(rows)
+                r, pairs = off(pose, n), 2.0 / (1.0 + shared[q])
+                weight = pairs / (1.0 + (r / 0.05) ** 2)
+                sums.hessian[:] += weight * np.outer(row, row)
+                sums.feigned[:] += weight * normals[onto, q, 2] * np.outer(quarter, quarter)
+                sums.gradient[:] += weight * row * r
+                sums.totals[:] += weight, pairs, weight * r * r
     return sums
 
 
 @LASERS
-def test_the_kernel_agrees_with_its_reference(laser):
-    returns, true = pair(laser, np.random.default_rng(1))
-    loss, pose = Loss(0.1, 0.05), true + np.array([0.02, -0.01, 0.01])
-    sums = np.zeros(SUMS)
-    add_one_way(returns, 0, 1, pose, loss, sums)
-    expected = reference(returns, 0, 1, pose, loss)
-    assert sums[HITS] > 80
-    assert np.allclose(sums[:12], expected[:12], rtol=0.05, atol=0.05 * sums[WEIGHT] ** 0.5)
+@pytest.mark.parametrize("both", [False, True])
+def test_sums_over_several_scans_are_those_of_their_residuals(laser, both):
+    seen, sums = views(laser), of_one(no_sums(1))
+    add_all(seen, SOUGHT.array(), 0.2, both, sums)
+    expected = plain_sums(seen, SOUGHT.array(), 0.2, both)
+    assert sums.totals[1] > 150
+    for found, plain in zip(sums, expected, strict=True):
+        assert found == pytest.approx(plain, rel=1e-4, abs=1e-4 * sums.totals[0])
 
 
-def test_returns_that_share_a_partner_are_worth_two_pairs_at_most():
+@LASERS
+@pytest.mark.parametrize("slip_sigmas", [math.inf, 2.0])
+def test_an_aligned_pose_balances_the_scans_and_what_was_known_before(laser, slip_sigmas):
+    seen, sums = views(laser), of_one(no_sums(1))
+    root = np.array([[300.0, 40.0, 9.0], [0.0, 200.0, 30.0], [0.0, 0.0, 400.0]])
+    turn = np.array([0.0, 0.0, 2.0 * math.pi])
+    prior = Prior((SOUGHT @ Pose(0.01, 0.02, 0.01)).array() + turn, root.T @ root, slip_sigmas)
+    pose = SOUGHT.array()
+    align(seen, prior, 0.3, True, pose, sums)
+    add_all(seen, pose, 0.12, True, sums)
+    off = pose - prior.pose + turn
+    pull = prior.information @ off / (1.0 + off @ prior.information @ off / slip_sigmas**2)
+    of_scans = sums.gradient / (0.03**2 * 2)  # two scans that see the same surfaces count once
+    assert np.linalg.norm(pull) > 100.0
+    assert np.linalg.norm(of_scans + pull) < 0.05 * np.linalg.norm(pull)
+
+
+def test_returns_that_share_a_partner_count_as_two_pairs_at_most():
     near, far = Pose(6.0, 0.0, np.pi), Pose(0.0, 0.0)
     returns, relative = pair(HALF, a=far, b=near, walls=CORRIDOR)
     partners, shared = partners_of(returns, 0, 1, relative, NEAR_GATE_M)
-    sums = np.zeros(SUMS)
-    add_one_way(returns, 0, 1, relative, Loss(NEAR_GATE_M, 0.05), sums)
-    assert shared.max() > 10
-    assert shared.sum() == np.count_nonzero(partners >= 0)
-    assert sums[HITS] == pytest.approx((2 * shared / (1 + shared)).sum())
-    assert sums[HITS] < 2 * np.count_nonzero(shared) < 0.5 * shared.sum()
+    sums = of_one(no_sums(1))
+    add_all(Views(returns, 1, np.array([0]), np.zeros((1, 3))), relative, NEAR_GATE_M, False, sums)
+    assert shared.max() > 10 and shared.sum() == np.count_nonzero(partners >= 0)
+    assert sums.totals[1] == pytest.approx((2 * shared / (1 + shared)).sum())
+    assert sums.totals[1] < 2 * np.count_nonzero(shared) < 0.5 * shared.sum()
 
 
 def test_a_direction_is_that_of_atan2_to_a_thousandth_of_a_beam():
@@ -99,13 +122,41 @@ def test_a_full_circle_has_normals_where_it_begins_and_ends():
     assert np.allclose(np.abs(returns.normals[0, [0, 1, -1], 0]), 1.0, atol=1e-3)
 
 
-def link_covariance(found, sigma_m=0.01):
-    return covariances(found.sums, np.array([2.0]), sigma_m)[0]
+def plain_normal(returns, i, low, high, reach_m):
+    """Normal and variance of return `i` of a piece, by returns to either side up to a distance; None without one."""
+    away = np.hypot(*(returns[low:high, :2] - returns[i, :2]).T)
+    # Up to that distance and the first return beyond, but two returns at least.
+    first = max([k for k in range(low, i - 1) if away[k - low] > reach_m], default=low)
+    past = min([k for k in range(i + 2, high) if away[k - low] > reach_m], default=high - 1) + 1
+    points = returns[first:past, :2].astype(float)
+    if len(points) < (3 if first < i < past - 1 else 4):
+        return None
+    values, axes = np.linalg.eigh(np.cov(points.T, bias=True))
+    n = axes[:, 0] * -np.sign(axes[:, 0] @ returns[i, :2])
+    return None if values[0] > 0.06 * values[1] else [*n, values[0] / values[1] / (len(points) - 2)]
+
+
+@pytest.mark.parametrize("noise_m", [0.004, 0.02])
+def test_a_normal_is_that_of_the_line_through_near_neighbours_or_else_through_more(noise_m):
+    bearings, rng = Bearings(-0.4, 0.03, 30, False, 2.0, 1), np.random.default_rng(1)
+    angles, normal = -0.4 + 0.03 * np.arange(30), 0.35
+    ranges = 1.3 / np.cos(angles - normal) + noise_m * rng.standard_normal(30)
+    ranges[20:] += 0.5  # another surface
+    returns = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), ranges]).astype(np.float32)
+    returns[9] = 0.0
+    found, counts = np.ones((30, 3), np.float32), {"near": 0, "far": 0, "none": 0}
+    fit_normals(returns, bearings, found)
+    for i in (*range(9), *range(10, 30)):
+        low, high = next(piece for piece in ((0, 9), (10, 20), (20, 30)) if piece[0] <= i < piece[1])
+        near, far = (plain_normal(returns, i, low, high, reach_m) for reach_m in (0.12, 0.24))
+        assert found[i] == pytest.approx(near or far or [0.0, 0.0, 0.0], rel=2e-3, abs=1e-5), i
+        counts["near" if near else "far" if far else "none"] += 1
+    assert not found[9].any() and counts["near"] > 3 and counts["far"] > (0 if noise_m < 0.01 else 4)
 
 
 def covariance_of_truth(found, returns):
     """(3, 3) of an aligned pair's error: of the link between apparent poses, and the private errors of both scans."""
-    link, own = link_covariance(found), [private_covariance(returns, k, 0.01) for k in (0, 1)]
+    (link,), own = covariances(found.hessians, 0.01), [private_covariance(returns, k, 0.01) for k in (0, 1)]
     return reported(link, found.poses[0], own[1], own[0], np.zeros(3))
 
 
@@ -118,7 +169,7 @@ def test_alignment_finds_the_motion_within_its_covariance(laser):
         returns, true = pair(laser, rng, a, b)
         start = true + rng.normal(0, [0.03, 0.03, 0.02])
         found = align_pairs(returns, np.array([0]), np.array([1]), start[None], NEAR_GATE_M)
-        if not found.agree(0.6, 1.0)[0]:
+        if not found.agree(0.8)[0]:
             continue
         off = found.poses[0] - true
         off[2] = wrap_angle(float(off[2]))
@@ -132,12 +183,19 @@ def test_along_a_corridor_the_covariance_claims_nothing():
     rng = np.random.default_rng(4)
     returns, true = pair(HALF, rng, Pose(0.0, 0.2, 0.1), Pose(0.5, 0.25, 0.05), CORRIDOR)
     found = align_pairs(returns, np.array([0]), np.array([1]), true[None] + [0.02, 0.01, 0.01], NEAR_GATE_M)
-    values, axes = np.linalg.eigh(link_covariance(found)[:2, :2])
+    values, axes = np.linalg.eigh(covariances(found.hessians, 0.01)[0, :2, :2])
     assert np.sqrt(values[1]) > 0.5 and np.sqrt(values[0]) < 0.02
     assert abs(axes[:, 1] @ [math.cos(0.1), -math.sin(0.1)]) > 0.999
 
 
-def test_a_scan_says_nothing_of_a_private_error_along_a_corridor():
+def test_the_covariance_of_a_link_is_that_of_its_hessian_by_hand():
+    axes = np.linalg.qr(np.random.default_rng(6).normal(size=(3, 3)))[0]
+    (found,) = covariances(((axes * [84.0, 40.0, 2.0]) @ axes.T)[None], 0.01)
+    # Of 42, 20 and 1 returns three are left out; the noise of two returns is 2e-4.
+    assert found == pytest.approx((axes * [2e-4 / 39.0, 2e-4 / 17.0, 1e6]) @ axes.T, abs=1e-8)
+
+
+def test_a_scan_has_no_private_error_along_a_corridor():
     returns, _ = pair(HALF, np.random.default_rng(5), Pose(), Pose(0.5, 0.0, 0.0), CORRIDOR)
     own = private_covariance(returns, 0, 0.01)
     values, axes = np.linalg.eigh(own[:2, :2])
@@ -176,13 +234,62 @@ def test_a_scan_that_looks_through_a_wall_is_rejected():
     deep = np.array([[[-4, -3], [9, -3]], [[9, -3], [9, 3]], [[9, 3], [-4, 3]], [[-4, 3], [-4, -3]]], dtype=float)
     store = stored(*(scan_at(Pose(2.0, y, 0.0), walls) for y, walls in ((0.0, ROOM[:4]), (0.0, deep), (0.1, ROOM[:4]))))
     ends = np.array([0, 0]), np.array([1, 2])
-    found = align_pairs(store.returns, *ends, np.zeros((2, 3)), NEAR_GATE_M)
-    assert found.agree(0.8, 1.0).tolist() == [False, True]
+    assert align_pairs(store.returns, *ends, np.zeros((2, 3)), NEAR_GATE_M).agree(1.0).tolist() == [False, True]
 
 
-def test_views_are_compared_beam_by_beam():
+def plain_agreement(returns, target, source, pose):
+    """Sum of weights on lines, hits, returns seen through and all, by a loop over returns."""
+    points, normals = returns.points.astype(float), returns.normals.astype(float)
+    seen, own, found = bearings_at(returns, target), bearings_at(returns, source), np.zeros(4)
+    for k in range(0, own.beams, own.stride):
+        if points[source, k, 2] == 0.0:
+            continue
+        found[3] += 1
+        at, turn = pose @ points[source, k, :2], Pose(0.0, 0.0, pose.theta)
+        cell = ((math.atan2(at[1], at[0]) - seen.first) % (2.0 * math.pi)) / seen.spacing
+        beams = round(cell) + np.arange(-1, 2)
+        if not seen.closed and (beams[0] < 0 or beams[2] >= seen.beams):
+            continue
+        beams = [q for q in beams % seen.beams if points[target, q, 2] > 0.0]
+        around, distance = points[target, beams], math.hypot(*at)
+        away = np.hypot(*(around[:, :2] - at).T)
+        if len(beams) and min(away.min(), np.abs(around[:, 2] - distance).min()) < 0.12:
+            found[1] += 1
+            q = beams[int(away.argmin())]
+            n, m = normals[target, q, :2], turn @ normals[source, k, :2]
+            r = abs(n @ (at - points[target, q, :2]))
+            if n.any() and not (m.any() and m @ n < 0.7) and r < 0.12:
+                found[0] += 1.0 / (1.0 + (r / 0.05) ** 2)
+        elif len(beams) and distance < around[:, 2].min() - 0.24:
+            found[2] += 1
+    return found
+
+
+@LASERS
+def test_the_agreement_of_two_scans_is_that_of_a_plain_loop_and_that_of_many_is_the_best_one(laser):
+    seen, pose = views(laser), SOUGHT @ Pose(0.25, -0.1, 0.2)
+    means = []
+    for target, at in zip(seen.targets, seen.at, strict=True):
+        T, total = Pose(*at).inverse() @ pose, np.zeros(4)
+        for ends, way in (((target, 2), T), ((2, target), T.inverse())):
+            expected = plain_agreement(seen.returns, *ends, way)
+            found = np.array(agreement(seen.returns, *ends, way.triple()))
+            assert found == pytest.approx(expected, abs=1.5) and expected[1:].min() > 5.0  # between two beams is either
+            total += found / 2.0
+        means.append(total)
+    assert np.array(agreement_of(seen, pose.array())) == pytest.approx(max(means, key=lambda mean: mean[0]))
+
+
+def test_a_right_pose_is_not_contradicted_a_wrong_one_is_and_a_few_returns_are_no_evidence():
+    returns, true = pair(ROUND, np.random.default_rng(2))
+    right, wrong = (agreement(returns, 0, 1, (Pose(*true) @ off).triple()) for off in (Pose(), Pose(0.8, 0.0, 0.5)))
+    assert contradicted(right.hits, right.through) < 0.05 < 0.3 < contradicted(wrong.hits, wrong.through)
+    assert contradicted(3.0, 9.0) == 0.0 and contradicted(30.0, 90.0) == 0.75
+
+
+def test_a_room_that_hides_another_one_is_seen_through_from_there_alone():
     store = stored(scan_at(Pose(), ROOM[:4]), scan_at(Pose(), 0.5 * ROOM[:4]))
-    hits, through, count = compare_views(store.returns, 0, 1, np.zeros(3))
-    assert through == count and hits == 0  # the small room stands in the view of the large one
-    hits, through, count = compare_views(store.returns, 1, 0, np.zeros(3))
-    assert through == hits == 0  # the large room is hidden by the small one
+    small = agreement(store.returns, 0, 1, inverse(triple(np.zeros(3))))
+    assert small.through == small.total and small.hits == 0  # the small room stands in the view of the large one
+    large = agreement(store.returns, 1, 0, (0.0, 0.0, 0.0))
+    assert large.through == large.hits == 0  # the large room is hidden by the small one

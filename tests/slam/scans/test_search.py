@@ -1,12 +1,10 @@
-"""Uncertainty along the graph, submaps, branch and bound."""
+"""Submaps, branch and bound."""
 
 import math
 
 import numpy as np
 import pytest
 from rooms import scan_at, stored
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.geometry import Pose
 from sixthsense.slam.scans.places import (
@@ -19,43 +17,8 @@ from sixthsense.slam.scans.places import (
     Window,
     peaks,
     pyramid,
-    submap_points,
+    surfaces,
 )
-from sixthsense.slam.scans.uncertainty import UncertaintyGraph
-
-
-def test_without_headings_the_uncertainty_is_the_shortest_path():
-    rng = np.random.default_rng(0)
-    graph, n = UncertaintyGraph(), 200
-    arcs = [(k, k + 1) for k in range(n - 2)] + [tuple(rng.choice(n - 1, 2, replace=False)) for _ in range(150)]
-    variances = rng.uniform(0.001, 0.1, len(arcs))
-    for (a, b), variance in zip(arcs, variances, strict=True):
-        graph.add(int(a), int(b), float(variance), 0.0)
-    sigma_m, _ = graph.sigmas(17, rng.uniform(-5, 5, (n, 3)))
-    best = {}
-    for (a, b), variance in zip(arcs, variances, strict=True):
-        for pair in ((a, b), (b, a)):
-            best[pair] = min(best.get(pair, math.inf), variance)
-    rows, columns = np.array(list(best)).T
-    expected = dijkstra(coo_matrix((list(best.values()), (rows, columns)), (n, n)).tocsr(), indices=17)
-    assert np.allclose(sigma_m**2, expected) and np.isinf(sigma_m[-1])
-
-
-def test_an_uncertain_heading_counts_with_the_distance():
-    graph = UncertaintyGraph()
-    graph.add(0, 1, 0.0, 0.01)
-    sigma_m, sigma_rad = graph.sigmas(0, np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.0]]))
-    assert sigma_m[1] ** 2 == pytest.approx(0.01 * 36 / 3) and sigma_rad[1] == pytest.approx(0.1)
-
-
-def test_removed_arcs_do_not_count():
-    graph = UncertaintyGraph()
-    graph.add(0, 1, 1.0, 0.0)
-    graph.add(0, 1, 0.01, 0.0, group=3)
-    poses = np.zeros((2, 3))
-    assert graph.sigmas(0, poses)[0][1] == pytest.approx(0.1)
-    graph.remove([3])
-    assert graph.sigmas(0, poses)[0][1] == pytest.approx(1.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +26,7 @@ def room():
     scans = [Pose(-1.0, 0.5, 0.0), Pose(0.0, -1.0, 1.0), Pose(-3.0, 1.0, 2.0)]
     store = stored(*(scan_at(pose) for pose in scans))
     poses = np.array([pose.array() for pose in scans])
-    return submap_points(store.returns, np.arange(3), poses, 0.05)
+    return np.ascontiguousarray(surfaces(store.returns, np.arange(3), poses, 0.05)[:, :2])
 
 
 def brute_force(cells, points, window):
@@ -146,14 +109,6 @@ def test_places_that_look_alike_are_all_found(room):
         pyramid(wall), wall[100:200] - (7.5, 0.0), Window(np.array([6.0, 0.0, 0.0]), 3.0, 0.05), 0.9, Apart(0.7, 0.2)
     )
     assert len(alike) >= 6 and np.ptp(alike[:, 1]) > 3.5
-
-
-def test_the_bias_of_wheels_adds_up_along_a_path():
-    graph = UncertaintyGraph()
-    for k in range(10):
-        graph.add(k, k + 1, 1e-4, 0.0, bias_m=0.02)
-    sigma_m, _ = graph.sigmas(0, np.zeros((11, 3)))
-    assert sigma_m[10] ** 2 == pytest.approx(10 * 1e-4 + (10 * 0.02) ** 2)
 
 
 def test_a_scan_of_many_thousand_returns_fits_where_it_was_taken(room):

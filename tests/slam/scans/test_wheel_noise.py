@@ -23,7 +23,7 @@ def learned(position, heading, slips=0.0, motions=1500, seed=3):
         left = np.linalg.inv(np.linalg.inv(now) + np.linalg.inv(scans))
         turn = np.eye(3)
         turn[:2, :2] = rotation(HEADING)
-        noise.measured(STATED, turn @ left @ np.linalg.inv(scans) @ seen, turn @ left @ turn.T, HEADING)
+        noise.update(STATED, turn @ left @ np.linalg.inv(scans) @ seen, turn @ left @ turn.T, HEADING)
     return noise.factors
 
 

@@ -1,0 +1,118 @@
+"""Closings and thinning: which links close loops and are taken back, and which keyframes leave the graph.
+
+Where enough keyframes show a place from much the same pose, later ones leave the graph. A robot that comes back to the
+same rooms all day adds keyframes for ever, and nothing new by them. Keeping the poses that are there already, once a
+place is known, is the reduced pose graph of Johannsson, Kaess, Fallon and Leonard, ICRA 2013. A keyframe leaves some
+time after it was made. Its links are lost, so that nothing is counted twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import wrap_angle
+from sixthsense.slam.scans.graph import LINKS, OLD_AGE, PERIOD, ScanGraph
+from sixthsense.slam.scans.links import Alignments
+
+_CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
+_NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
+_ENOUGH = 8  # such keyframes
+_LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
+
+
+class Closings:
+    """The loop closures so far. A link to an old keyframe belongs to the last of them, which made its pose known."""
+
+    def __init__(self, graph: ScanGraph) -> None:
+        self._graph = graph
+        self._standing: list[int] = []
+        self.accepted = 0
+        """loop closures accepted so far"""
+
+    @property
+    def undone(self) -> int:
+        """Loop closures taken back so far."""
+        return self.accepted - len(self._standing)
+
+    @property
+    def latest(self) -> int:
+        """Number of the last loop closure that stands; -1 for none."""
+        return self._standing[-1] if self._standing else -1
+
+    def close(self, found: Alignments) -> bool:
+        """Close a loop with the links of a place; whether it stays closed.
+
+        A loop closure that contradicts the graph, in the median of its links, is taken back, with all links that
+        followed from it. So is the newest one if it breaks more links of others than it has.
+        """
+        number, broken = self.accepted, self._broken(self.accepted)
+        self.accepted += 1
+        self._standing.append(number)
+        self._graph.give(found, np.ones(len(found.targets), dtype=np.bool_), number, closes=True)
+        while self._standing:
+            squares = self._contradictions()
+            if max(squares) <= _CONTRADICTION:
+                break
+            self._undo(self._standing[int(np.argmax(squares))])
+        if number in self._standing and self._broken(number) - broken > len(found.targets):
+            self._undo(number)
+        return number in self._standing
+
+    def _contradictions(self) -> list[float]:
+        """Of each loop closure that stands: median squared distance from the estimate of the links that closed it."""
+        links = self._graph.links
+        own = links[links["closes"]]
+        squares = self._graph.squares(own)
+        of_each = (squares[own["closure"] == number] for number in self._standing)
+        return [float(np.median(each)) if len(each) else 0.0 for each in of_each]
+
+    def _broken(self, newest: int) -> int:
+        """How many links to old keyframes, but for those of the newest loop closure, contradict the estimate."""
+        links = self._graph.links
+        others = links[links["is_old"] & (links["closure"] != newest)]
+        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
+
+    def _undo(self, number: int) -> None:
+        self._standing.remove(number)
+        links = self._graph.links
+        self._graph.remove(links[links["closure"] == number])
+
+
+class Thinning:
+    """Which keyframes leave the graph."""
+
+    def __init__(self, graph: ScanGraph) -> None:
+        self._graph = graph
+        self._next = 1
+        """the first keyframe that was not judged yet"""
+        self._spare: list[int] = []
+        """keyframes that will leave with the next ones"""
+
+    def look(self, key: int) -> None:
+        """Judge keyframes that are old enough at the newest one, `key`."""
+        for k in range(self._next, key - OLD_AGE + 1):
+            if self._is_spare(k, self._graph.old_links()):
+                self._spare.append(k)
+        self._next = max(self._next, key - OLD_AGE + 1)
+        if len(self._spare) >= PERIOD:
+            links = self._graph.links
+            # A loop may have been closed with some of them since they were judged.
+            leaving = sorted(set(self._spare) - set(links["ends"][links["closes"]].ravel().tolist()))
+            self._spare = []
+            if leaving:
+                self._graph.take_out(leaving)
+
+    def _is_spare(self, k: int, old_links: NDArray[np.int64]) -> bool:
+        """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough.
+
+        `old_links` (K,) are the numbers of links of keyframes to old ones.
+        """
+        graph = self._graph
+        if old_links[k : k + LINKS + 1].min() < _LEAST_OLD_LINKS:
+            return False
+        kept: NDArray[np.bool_] = graph.is_kept[:k].copy()
+        kept[self._spare] = False
+        off = graph.poses[:k][kept] - graph.poses[k]
+        near = (np.hypot(off[:, 0], off[:, 1]) < _NEAR_M) & (np.abs(wrap_angle(off[:, 2])) < _NEAR_RAD)
+        return bool(np.count_nonzero(near) >= _ENOUGH)
