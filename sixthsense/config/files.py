@@ -14,6 +14,8 @@ from sixthsense.config.section import as_table, merge, shown
 from sixthsense.config.tree import Config
 from sixthsense.config.version import __version__
 
+_MOST_BYTES = 1 << 23
+"""of a configuration or a scene: a larger file is none, and reading it may take long"""
 NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
 
@@ -51,8 +53,14 @@ def read_table(file: str | Path) -> dict[str, Any]:
     """The nested table of a TOML file; InputError for a file that cannot be read, or is not TOML."""
     path = Path(file)
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise InputError(path, "is a pipe or a device", "a TOML file")
+        if path.is_file() and path.stat().st_size > _MOST_BYTES:
+            raise InputError(path, f"found {path.stat().st_size:,} bytes", f"at most {_MOST_BYTES:,}")
         with path.open(encoding="utf-8-sig") as stream:
             return parse_toml(stream.read())
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:

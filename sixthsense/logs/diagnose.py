@@ -167,8 +167,8 @@ def of_headings(poses: Array, way: Array | None = None) -> Finding | None:
     if not total or way @ np.abs(np.sin(course - heading)) < _ACROSS * total:
         back = float(way @ (np.cos(course - heading) < 0.0) / max(total, 1e-9))
         return Finding("driven_backward", back) if back > _BACKWARD else None
-    if np.ptp(np.unwrap(heading)) < _TURNED_RAD:
-        return None
+    if np.ptp(np.unwrap(heading)) < _TURNED_RAD or np.abs(way @ np.exp(2j * course)) > _ALONG * total:
+        return None  # along a straight way goes any heading that hardly changes
     degrees = DEGREES * np.unwrap(heading)  # whose first one may be any number of turns off
     shares = {
         "headings_unit": max(

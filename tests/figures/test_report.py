@@ -61,7 +61,8 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "one"
-    assert main(["run", "rectangle", "--seed", "2", "--estimator", "ekf-fej", "--out", str(out)]) == 0
+    drive = ["--task", "tour", "--max-time", "12", "--seed", "2", "--estimator", "ekf-fej"]
+    assert main(["run", "rectangle", *drive, "--out", str(out)]) == 0
     assert main(["report", str(out), "--figures", "svg"]) == 0
     return out
 
@@ -141,7 +142,7 @@ def test_a_run_without_truth_has_no_figures_that_need_it(finished, tmp_path):
 
 def test_the_command_writes_into_the_folder_of_one_run_and_into_another_only_on_request(folder, tmp_path, capsys):
     written = {file.name for file in (folder / "figures").iterdir() if file.suffix != ".svg"}
-    assert written == PICTURES - {"rpe.png"} | {PAGE}  # too short a drive for relative errors
+    assert written == PICTURES - {"exploration.png"} | {PAGE}  # a tour explores nothing
     assert main(["report", str(folder), "--out", str(tmp_path)]) == 2
     assert "exists, allowed: a new folder, or --overwrite" in capsys.readouterr().err
     assert main(["report", str(folder), "--out", str(tmp_path), "--overwrite"]) == 0

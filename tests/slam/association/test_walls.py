@@ -162,7 +162,7 @@ def test_another_piece_of_a_known_wall_is_fused_unless_it_is_offset():
         far = Observation(Kind.WALL, np.array([0.0, -2.0 + step]), COV, (1.0, 3.0))
         found = associator.associate([near, far], estimator)
         assert found.dof == 2 and len(found.observations) == 1
-        assert np.allclose(found.observations[0].cov, COV / 2 if fused_in else COV, rtol=2e-3)  # and the wall's shape
+        assert np.allclose(found.observations[0].cov, COV / 2 if fused_in else COV, rtol=5e-3)  # and the wall's shape
         assert found.observations[0].extent == ((-1.0, 3.0) if fused_in else (-1.0, 0.5))
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
 
