@@ -1,7 +1,7 @@
 """What is measured: kinds of cases with their settings, seeds, figures, and what is asked of them.
 
 Simulated runs begin at seed 1,000, which no parameter was chosen on. The replay of a log is as the plain command makes
-it, with its default seed, which only affects RANSAC.
+it; nothing in it is random.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +17,8 @@ from sixthsense.config.version import __version__
 
 _MOST_BYTES = 1 << 23
 """of a configuration or a scene: a larger file is none, and reading it may take long"""
+# The parser's time grows with the square of a dotted key's length: 24 kB of `a.a.a...` take seconds.
+_DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){20}""")
 NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
 
@@ -112,6 +115,8 @@ def prior_map_of(file: str | Path) -> dict[str, Any] | None:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The table of a TOML text; ValueError says in a few words why it is invalid."""
+    if _DEEP_KEY.search(text):
+        raise ValueError("is not usable TOML (found a key of over 20 parts)")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -125,16 +125,6 @@ def added(a: Array, b: Array) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def symmetrized(a: Array) -> Array:
-    """(3, 3) mean of a matrix and its transpose."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = 0.5 * (a[i, j] + a[j, i])
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
 def product(matrix: Array, vector: Array) -> Array:
     """(3,) of a matrix (3, 3) and a vector (3,)."""
     out = np.empty(3)
@@ -279,11 +269,3 @@ def in_axes(values: Array, axes: Array) -> Array:
                 + values[2] * axes[i, 2] * axes[j, 2]
             )
     return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def largest_variance(cov: Array) -> tuple[float, float, float]:
-    """The largest variance of a position with covariance `cov` (2, 2) or (3, 3), and its direction, cosine and sine."""
-    a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
-    half = 0.5 * math.atan2(2.0 * b, a - d)
-    return 0.5 * (a + d + math.hypot(a - d, 2.0 * b)), math.cos(half), math.sin(half)

@@ -14,7 +14,6 @@ from sixthsense.core.se2 import (
     eigen,
     inverse,
     inverse_covariance,
-    largest_variance,
     whitening,
     whitenings,
     wrapped,
@@ -117,11 +116,3 @@ def test_eigenvalues_and_axes_are_those_of_lapack() -> None:
         assert np.allclose(values / scale, np.linalg.eigvalsh(matrix_) / scale, rtol=0.0, atol=3e-15)
         assert np.allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=1e-14)
         assert np.allclose(((axes * values) @ axes.T) / scale, matrix_ / scale, rtol=0.0, atol=3e-15)
-
-
-def test_the_largest_variance_of_a_position_is_the_largest_eigenvalue_in_its_direction() -> None:
-    for cov in covariances_of_any_shape(100):
-        values, axes = np.linalg.eigh(cov[:2, :2])
-        variance, c, s = largest_variance(cov)
-        assert variance == pytest.approx(values[1], rel=1e-12)
-        assert abs(axes[:, 1] @ [c, s]) == pytest.approx(1.0, abs=1e-9)

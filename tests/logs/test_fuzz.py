@@ -137,6 +137,7 @@ BAD_FILES = [
     ("run m.yaml", {"m.yaml": MAP, "m.pgm": b"P5 50000 50000 255\n"}, "allowed: 100,000,000 pixels in all"),
     ("run m.yaml", {"m.yaml": MAP.replace("m.pgm", "/dev/zero")}, "/dev/zero: is a folder, a pipe or a device"),
     ("run --config c.toml", {"c.toml": NOISE}, "c.toml: is not UTF-8 text, allowed: a TOML file"),
+    ("run --config c.toml", {"c.toml": ".".join(["a"] * 40_000) + " = 1"}, "c.toml: is not usable TOML"),
     ("run --config /dev/zero", {}, "/dev/zero: is a pipe or a device"),
     ("replay x.log", {"x.log": "FLASER 3 1 a 2 0 0 0 0 0 0 1 h 1\n"}, "x.log line 1: found "),
     ("replay x.log.gz", {"x.log.gz": b"\x1f\x8b" + NOISE}, "x.log.gz: cannot be read (damaged after line 0"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
@@ -218,39 +218,3 @@ def line_cost(cost: Floats, x0: float, y0: float, x1: float, y1: float) -> float
         row, col = math.floor(y0 + share * (y1 - y0)), math.floor(x0 + share * (x1 - x0))
         total += cost[row, col] if 0 <= row < height and 0 <= col < width else 1.0
     return total * length / pieces
-
-
-class Ray(NamedTuple):
-    """A ray on its way from cell to cell, in cells (Amanatides and Woo, Eurographics 1987)."""
-
-    row: int
-    col: int
-    row_step: int
-    col_step: int
-    per_row: float
-    """length of the ray from one edge between rows to the next; infinite along these edges"""
-    per_col: float
-    next_row: float
-    """length from the ray's begin to the next edge between rows"""
-    next_col: float
-    gone: float
-    """length from the ray's begin to where it has entered its cell"""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def ray_from(x: float, y: float, c: float, s: float) -> Ray:
-    """The ray from a point (column and row as real numbers) in a direction, cosine and sine."""
-    row, col = math.floor(y), math.floor(x)
-    per_row, per_col = abs(1.0 / s), abs(1.0 / c)
-    next_row = per_row * (row + 1 - y if s > 0.0 else y - row) if s != 0.0 else math.inf
-    next_col = per_col * (col + 1 - x if c > 0.0 else x - col) if c != 0.0 else math.inf
-    return Ray(row, col, 1 if s > 0.0 else -1, 1 if c > 0.0 else -1, per_row, per_col, next_row, next_col, 0.0)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def ahead(ray: Ray) -> Ray:
-    """The same in its next cell."""
-    row, col, row_step, col_step, per_row, per_col, next_row, next_col, _ = ray
-    if next_col < next_row:
-        return Ray(row, col + col_step, row_step, col_step, per_row, per_col, next_row, next_col + per_col, next_col)
-    return Ray(row + row_step, col, row_step, col_step, per_row, per_col, next_row + per_row, next_col, next_row)
