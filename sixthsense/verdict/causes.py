@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.logs.diagnose import beside_wheels
-from sixthsense.logs.finding import Finding
 from sixthsense.verdict.evidence import Evidence, share
 from sixthsense.verdict.probability import MIRROR_SIGMAS
 from sixthsense.verdict.verdict import Cause
@@ -31,11 +30,18 @@ _FACTOR = 0.1  # by which wheels are wrong that is worth a word
 
 def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
     """The causes, what holds for the whole run first."""
-    whole = [*_mirrored(evidence), *_clocks(evidence), *_mount(evidence, found)]
-    if any(cause.name == "mirrored" for cause in whole):
-        return tuple(whole[:1])
+    if mirrored := (*_mirrored(evidence),):
+        return mirrored
+    mount = [each for each in _beside_wheels(evidence, found) if each.name != "odometry_scale"]
     events = [*_carried(evidence, found), *_blind(evidence, found), *_slips(evidence, found)]
-    return (*whole, *events, *_walls(evidence, found), *_untied(evidence, found), *_wheels(evidence))
+    return (
+        *_clocks(evidence),
+        *mount,
+        *events,
+        *_walls(evidence, found),
+        *_untied(evidence, found),
+        *_wheels(evidence),
+    )
 
 
 def _mirrored(evidence: Evidence) -> Iterator[Cause]:
@@ -62,23 +68,17 @@ def _clocks(evidence: Evidence) -> Iterator[Cause]:
 
 def remarks_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
     """What is odd beside a map that is right: wheels that report other distances than the scans."""
-    kinds = ("odometry_scale", "wheels_reversed")
-    return tuple(_whole(each.kind, str(each), evidence) for each in _beside(evidence, found) if each.kind in kinds)
+    return tuple(each for each in _beside_wheels(evidence, found) if each.name != "mount")
 
 
-def _mount(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
-    for finding in _beside(evidence, found):
-        if finding.kind != "odometry_scale":
-            yield _whole(finding.kind, str(finding), evidence)
-
-
-def _beside(evidence: Evidence, found: Witnesses) -> list[Finding]:
+def _beside_wheels(evidence: Evidence, found: Witnesses) -> list[Cause]:
     """What motions by scans and by wheels say of both, where they turn alike."""
     mount, turns = evidence.mount, evidence.turns
     if mount is None or turns is None or turns.correlation < 0.7:
         return []
     scan = next((one for one in found.scans if one is not None), None)
-    return beside_wheels(mount, Pose() if scan is None else scan.T_robot_laser)
+    findings = beside_wheels(mount, Pose() if scan is None else scan.T_robot_laser)
+    return [_whole(finding.kind, str(finding), evidence) for finding in findings]
 
 
 def _whole(name: str, told: str, evidence: Evidence) -> Cause:
@@ -138,20 +138,16 @@ def _blind(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
         return
     is_blind = evidence.returns < FEWEST
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_blind, [False]]).astype(int)))
-    for first, past in zip(edges[::2], edges[1::2], strict=True):
-        begin, end = max(first - 1, 0), min(past, len(is_blind) - 1)
-        yield from _unseen(evidence, found, int(begin), int(end), "nothing was seen for")
+    way_m, nothing = evidence.travel, "nothing was seen for"
+    spans = [(max(first - 1, 0), min(past, len(is_blind) - 1)) for first, past in edges.reshape(-1, 2).tolist()]
+    unseen = [(nothing, *span) for span in spans if way_m[span[1]] - way_m[span[0]] > _BLIND_M]
     is_new = np.nan_to_num(evidence.overlap, nan=1.0) < _LEAST_OVERLAP
     gaps = np.flatnonzero((np.diff(evidence.stamps_s, prepend=evidence.stamps_s[:1]) > _APART_S) & is_new)
-    for k in gaps[:3]:
-        yield from _unseen(evidence, found, int(k) - 1, int(k), "no scan overlaps with those before for")
-
-
-def _unseen(evidence: Evidence, found: Witnesses, begin: int, end: int, words: str) -> Iterator[Cause]:
-    way_m = evidence.travel[end] - evidence.travel[begin]
-    if way_m > _BLIND_M or words.startswith("no "):
+    unseen += [("no scan overlaps with those before for", k - 1, k) for k in gaps[:3].tolist()]
+    for words, begin, end in unseen:
         at, until = float(evidence.stamps_s[begin]), float(evidence.stamps_s[end])
-        told = f"{words} {until - at:.0f} s and {way_m:.1f} m from {at:.0f} s on, at {_place(found, begin)}"
+        size = f"{until - at:.0f} s and {way_m[end] - way_m[begin]:.1f} m"
+        told = f"{words} {size} from {at:.0f} s on, at {_place(found, begin)}"
         yield Cause("blind", told, at, until, found.trajectory[begin : end + 1, :2])
 
 

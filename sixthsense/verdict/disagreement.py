@@ -95,8 +95,7 @@ def _score(found: NDArray[np.int64]) -> Array:
 
 def laser_motions(motions: Array, mounts: Array) -> Array:
     """(m, 3) motions of lasers, of those of robots (m, 3)."""
-    zero = np.zeros_like(mounts)
-    return between(mounts, compose(motions, mounts)) if len(motions) else zero
+    return between(mounts, compose(motions, mounts))
 
 
 def mount(found: Disagreement) -> Mount | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from sixthsense.verdict.causes import causes_of, remarks_of
@@ -22,8 +20,7 @@ from sixthsense.verdict.witnesses import Witnesses
 
 DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
 """A map is doubtful if it is more likely wrong than right, and broken if it is at least nine times as likely."""
-
-
+_MOUNT = ("x_m", "y_m", "theta_rad")
 _LEAST_TRAVEL_M = 2.0
 """with a turn of a radian as half a metre: scans of one place do not contradict each other"""
 
@@ -42,9 +39,9 @@ def judge(found: Witnesses) -> Verdict:
         level = "broken" if probability >= BROKEN_FROM else "doubtful"
     reason = _unjudged(evidence, found) if level == "good" else ""
     if reason:
-        return Verdict("unjudged", None, keyframes, (), dict(_numbers(evidence)), reason)
+        return Verdict("unjudged", None, keyframes, (), _numbers(evidence), reason)
     causes = (remarks_of if level == "good" else causes_of)(evidence, found) if len(keyframes) else ()
-    return Verdict(level, probability, keyframes, causes, dict(_numbers(evidence)))
+    return Verdict(level, probability, keyframes, causes, _numbers(evidence))
 
 
 def _unjudged(evidence: Evidence, found: Witnesses) -> str:
@@ -63,26 +60,17 @@ def _unjudged(evidence: Evidence, found: Witnesses) -> str:
     return ""
 
 
-def _numbers(evidence: Evidence) -> Iterator[tuple[str, float]]:
+def _numbers(evidence: Evidence) -> dict[str, float]:
     """What is known of a run, by the keys of its metrics."""
-    whitened = evidence.wheels.whitened
-    if np.isfinite(whitened).any():
-        yield "verdict_disagreement_p90", float(np.nanpercentile(whitened, 90))
-        yield "verdict_disagreement_max", float(np.nanmax(whitened))
+    numbers = {"verdict_disagreement_max": np.fmax.reduce(evidence.wheels.whitened, initial=np.nan)}
     for name, found in (("recent", evidence.recent), ("old", evidence.old)):
-        if np.isfinite(found).any():
-            total = np.nansum(found, axis=0)[None]
-            for kind, column in (("contradicted", THROUGH), ("twice", TWICE)):
-                value = float(share(total, column)[0])
-                if np.isfinite(value):
-                    yield f"verdict_{kind}_{name}", value
-    if np.isfinite(evidence.recent).any():
-        yield "verdict_keyframes_unseen", float((evidence.recent[1:, 0] < FEWEST).sum())
+        total = np.nansum(found, axis=0)[None]
+        numbers[f"verdict_contradicted_{name}"] = share(total, THROUGH)[0]
+        numbers[f"verdict_twice_{name}"] = share(total, TWICE)[0]
     if evidence.turns is not None:
-        yield "verdict_turn_slope", evidence.turns.slope
+        numbers["verdict_turn_slope"] = evidence.turns.slope
     if evidence.mount is not None:
-        yield "verdict_mount_x_m", float(evidence.mount.offset[0])
-        yield "verdict_mount_y_m", float(evidence.mount.offset[1])
-        yield "verdict_mount_theta_rad", float(evidence.mount.offset[2])
+        numbers |= {f"verdict_mount_{axis}": evidence.mount.offset[k] for k, axis in enumerate(_MOUNT)}
     if evidence.lag is not None:
-        yield "verdict_lag_s", evidence.lag.seconds
+        numbers["verdict_lag_s"] = evidence.lag.seconds
+    return {name: float(number) for name, number in numbers.items() if np.isfinite(number)}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
-from sixthsense.core.se2 import compose
+from sixthsense.core.se2 import between, compose
 
 RETURNS = 60
 """of a scan that are compared, evenly spread over its beams"""
@@ -79,26 +79,18 @@ def views_of(scans: Sequence[Scan | None]) -> Views:
 
 def compared(views: Views, poses: Array, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     """(m, 4) returns of both keyframes of `pairs` (m, 2) that the other has judged; `poses` (K, 3) of the robot."""
-    lasers = compose(poses, views.mounts) if len(poses) else poses
-    first, second = pairs[:, 0], pairs[:, 1]
-    motions = _relative(lasers, first, second)
-    return _compared(views, pairs, motions) + _compared(views, pairs[:, ::-1].copy(), _relative(lasers, second, first))
+    if not len(pairs):
+        return np.zeros((0, 4), np.int64)
+    lasers = compose(poses, views.mounts)
+    both = (pairs, pairs[:, ::-1])
+    there, back = (compared_at(views, each, between(*lasers[each.T])) for each in both)
+    return there + back
 
 
 def compared_at(views: Views, pairs: NDArray[np.int64], motions: Array) -> NDArray[np.int64]:
     """(m, 4) returns of the second keyframes judged by the first, if the lasers moved by `motions` (m, 3)."""
-    return _compared(views, np.ascontiguousarray(pairs), np.ascontiguousarray(motions))
-
-
-def _relative(lasers: Array, first: NDArray[np.int64], second: NDArray[np.int64]) -> Array:
-    from sixthsense.core.se2 import between
-
-    return between(lasers[first], lasers[second]) if len(first) else np.zeros((0, 3))
-
-
-def _compared(views: Views, pairs: NDArray[np.int64], motions: Array) -> NDArray[np.int64]:
     found = np.zeros((len(pairs), 4), np.int64)
-    _compare_all(views, pairs, motions, found)
+    _compare_all(views, np.ascontiguousarray(pairs), np.ascontiguousarray(motions), found)
     return found
 
 
