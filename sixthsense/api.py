@@ -146,13 +146,11 @@ def replay(
 def merge_runs(
     first: str | Path,
     second: str | Path,
-    relations: str | Path | None = None,
     on_tick: OnTick | None = None,
     *,
     progress: bool | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
-    force: bool = False,
     **fields: Unpack[MergeFields],
 ) -> Run:
     """Map two runs in one building together: scans of both are aligned, in the frame of the first.
@@ -163,10 +161,8 @@ def merge_runs(
     ----------
     first, second
         Folders of runs with scans of one laser. The second is found in the map of the first by what it has seen.
-    relations, on_tick, progress, out, overwrite
+    on_tick, progress, out, overwrite
         What they are for `ss.replay`.
-    force
-        Whether runs are merged, too, whose maps are broken, or that contradict each other.
     **fields
         Fields that override the configuration of the first run, as in `ss.replay`.
 
@@ -191,9 +187,9 @@ def merge_runs(
     for run in (first, second):
         check_out(run, None if out is None else path_of("out", out))
     config = _apply_fields(load_config(first / "config.toml"), fields)
-    merged = open_merged(first, second, config, relations, force)
+    merged = open_merged(first, second, config)
     with reserved(out, merged.config, overwrite, merged.files) as folder:
-        return replay_merged(merged, folder, _watch(on_tick, progress), force)
+        return replay_merged(merged, folder, _watch(on_tick, progress))
 
 
 def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:

@@ -68,7 +68,7 @@ _COMMANDS_INTRO = """\
 Exit codes: 0 done (also "explored in part", and a run of `live` ended by Ctrl-C); 1 the robot failed (stuck, lost,
 collided, goal unreachable, another robot); 2 bad input, reported in one line; 71 out of memory; 74 the disk is full;
 130 interrupted. All
-commands but `report`, `audit`, `scenes`, `parts` and `completion` accept the fields of the
+commands but `report`, `audit`, `export`, `scenes` and `parts` accept the fields of the
 [configuration](configuration.md) as options in addition to those below.
 """.splitlines()
 

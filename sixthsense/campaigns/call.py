@@ -17,7 +17,7 @@ from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, read_folder, save_folder
 from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, campaign_of, plan
 from sixthsense.campaigns.worker import FAILED, failed_row, run_row
-from sixthsense.config import Config, Section, merge, preset
+from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import path_of
 from sixthsense.config.parts import KINDS, import_again, searched
@@ -147,7 +147,7 @@ def campaign(
         another campaign or of a run.
 
     """
-    given = {name: value.explicit_table() if isinstance(value, Section) else value for name, value in fields.items()}
+    given = dict(fields)
     workers = checked("workers", Annotated[int | None, Field(ge=1, le=1024)], workers)
     for name in ("scene", "seed"):
         if name in given:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from sixthsense.config import Config, as_table, merge, preset
+from sixthsense.config import Config, Section, as_table, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
 from sixthsense.config.parts import FILTERS, KINDS, options_class
@@ -170,7 +170,10 @@ def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
 
     def update(target: dict[str, Any], table: Mapping[str, Any]) -> None:
         for key, value in table.items():
-            name = key.replace("-", "_")
+            name, value = (
+                key.replace("-", "_"),
+                value.model_dump(exclude_unset=True) if isinstance(value, Section) else value,
+            )
             if isinstance(value, Mapping):
                 update(target.setdefault(name, {}), value)
             elif value is None:

@@ -39,12 +39,11 @@ COMMANDS = {
     "merge": ("runs", "RUN_A RUN_B", "map two runs in one building together"),
     "calibrate": ("calibrate", "SCENE", "measure the robot's noise, for `run --config`"),
     "campaign": ("campaign", "[SCENE ...]", "many runs on many processors, with a table"),
-    "report": ("report", "RUN_DIR ...", "figures of runs, or of a campaign"),
+    "report": ("report", "RUN_DIR ...", "figures of runs, and a page"),
     "export": ("export", "RUN", "a bag, a graph, trajectories and tables of a run"),
     "audit": ("audit", "ESTIMATE ...", "is a covariance as large as its errors?"),
-    "scenes": ("listing", "[SCENE]", "list the shipped scenes, or draw one"),
+    "scenes": ("listing", "[SCENE]", "list the shipped scenes, or describe one"),
     "parts": ("listing", "", "list what can be replaced: estimators, planners, ..."),
-    "completion": ("listing", "SHELL", "print a completion script for bash, zsh or fish"),
 }
 """by name: the module of this package that has its class; arguments and purpose, a line of the usage"""
 

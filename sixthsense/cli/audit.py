@@ -58,8 +58,6 @@ class Audit(Options):
     """Write all numbers; a page with figures for a file that ends in .html."""
     overwrite: bool = False
     """Replace these files if they exist."""
-    validates: Annotated[bool, Arg("", flag="validate")] = False
-    """Only say what cannot be right in the estimates, without a truth: exit code 1 if something cannot."""
     require: Literal["consistent"] | None = None
     """Exit code 1 unless the verdict is consistent."""
 
@@ -70,8 +68,6 @@ class Audit(Options):
         _check_outputs(self)
         from sixthsense.auditing.call import audit
 
-        if self.validates:
-            return _validated(self)
         given = self.model_dump(include=set(inspect.signature(audit).parameters) - {"estimate"})
         lists = {"truth": list(self.truth) or None, "covariance": list(self.covariance) or None}
         found = audit(self.estimate[0] if len(self.estimate) == 1 else list(self.estimate), **{**given, **lists})
@@ -83,25 +79,6 @@ class Audit(Options):
             found.plot().savefig(self.figure, dpi=150)
             print(f"written: {self.figure}")
         return FAILED if self.require and found.outcome != self.require else DONE
-
-
-def _validated(options: Audit) -> int:
-    """Print what cannot be right in each estimate, or that nothing was found."""
-    from sixthsense.auditing.mistakes import WRONG
-    from sixthsense.auditing.opening import Options as Reading
-    from sixthsense.auditing.opening import open_estimate
-
-    code = DONE
-    files: list[Path | None] = [Path(file) for file in options.covariance] or [None] * len(options.estimate)
-    if len(files) != len(options.estimate):
-        raise InputError("covariance", f"found {len(files)} for {len(options.estimate)} estimates", "one for each")
-    for source, file in zip(options.estimate, files, strict=True):
-        poses = open_estimate(source, file, Reading(topic=options.topic, frame=options.frame, order=options.order))
-        wrong = [note for note in poses.notes if note.startswith(WRONG)]
-        for line in poses.notes or ("nothing found that cannot be right",):
-            print(f"{poses.name}: {line}")
-        code = FAILED if wrong else code
-    return code
 
 
 def _check_outputs(options: Audit) -> None:

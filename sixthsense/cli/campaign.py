@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -11,7 +12,7 @@ from pydantic import Field
 from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
 from sixthsense.cli.options import Arg, Options, Table
-from sixthsense.config import is_of_replay, load_config, preset, prior_map_of
+from sixthsense.config import is_of_replay, load_config, preset
 from sixthsense.config import parts as part_kinds
 from sixthsense.config.errors import InputError
 from sixthsense.config.tree import task_of
@@ -81,31 +82,27 @@ class Campaign(Options):
             complete(campaign, runs, out, execution)
         except KeyboardInterrupt:
             interrupted = True
-        return _finish(out, set(runs), interrupted)
+        return _finish(out, runs, interrupted)
 
 
-def _finish(out: Path, requested: set[str], interrupted: bool) -> int:
+def _finish(out: Path, requested: Collection[str], interrupted: bool) -> int:
     from sixthsense.campaigns import CampaignRows, load_campaign
     from sixthsense.campaigns.worker import FAILED as FAILED_RUN
 
-    frame = CampaignRows(out).frame()
-    if len(frame):
+    rows = CampaignRows(out).rows.read()
+    if rows:
         print(load_campaign(out).summary().to_string())
-    finished = frame[frame["config_hash"].isin(requested)]
-    failed = finished[finished["outcome"] == FAILED_RUN]
-    if len(failed):
-        first = failed.iloc[0]
-        where = f"{first.scene} {first.estimator} {first.preset} {first.planner} seed {first.seed}"
-        print(f"{len(failed)} runs failed, first {where}: {first.error}")
+    finished = [rows[key] for key in requested if key in rows]
+    failed = [row for row in finished if row["outcome"] == FAILED_RUN]
+    if failed:
+        where = " ".join(str(failed[0][name]) for name in ("scene", "estimator", "preset", "planner"))
+        print(f"{len(failed)} runs failed, first {where} seed {failed[0]['seed']}: {failed[0]['error']}")
     if interrupted:
-        print(
-            f"sixthsense: interrupted, {len(finished)} of {len(requested)} runs are in {out}/, "
-            "the same command makes the missing ones",
-            file=sys.stderr,
-        )
+        done = f"{len(finished)} of {len(requested)} runs are in {out}/"
+        print(f"sixthsense: interrupted, {done}, the same command makes the missing ones", file=sys.stderr)
         return INTERRUPTED
-    print(f"written to {out}/: {len(frame)} runs")
-    return FAILED if len(failed) else DONE
+    print(f"written to {out}/: {len(rows)} runs")
+    return FAILED if failed else DONE
 
 
 def _checked_folder(options: Campaign, table: Table) -> Path:
@@ -130,8 +127,6 @@ def _read_config_table(path: Path | None, presets: tuple[str, ...]) -> dict[str,
     load_config(path)
     if is_of_replay(path):
         raise InputError("config", f"{path} is of a replay", "the configuration of a simulated run")
-    if prior_map_of(path) is not None:
-        raise InputError("config", f"{path} is of a run with a prior map", "the configuration of a run without")
     from sixthsense.config.files import NOTES, read_table
 
     table = read_table(path)

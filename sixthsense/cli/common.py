@@ -146,15 +146,16 @@ def run_folder(
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.writing import FolderInUseError
 
-    note = None if prior is None else prior.note()
-    if options.out is not None:
-        folder = RunFolder(options.out, config, options.overwrite, replayed, note)
-        for line in folder.notes:
-            announce(f"note: {line}")
-        return folder
-    for out in numbered(stem):
-        with contextlib.suppress(FolderInUseError):  # a run that started at the same moment has taken it
-            return RunFolder(out, config, replayed=replayed, prior_map=note)
+    for out in numbered(stem) if options.out is None else (options.out,):
+        try:
+            folder = RunFolder(out, config, options.overwrite, replayed, None if prior is None else prior.note())
+        except FolderInUseError:  # a run that started at the same moment has taken it
+            if options.out is not None:
+                raise
+        else:
+            for line in folder.notes:
+                announce(f"note: {line}")
+            return folder
     raise AssertionError("numbers do not end")
 
 

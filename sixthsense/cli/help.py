@@ -23,7 +23,7 @@ class Help(argparse.Action):
     command: type[Options]
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, topic: Any, flag: str | None = None) -> None:
-        """Print the short help, that of a section or an option, or for `all` the complete one."""
+        """Print the short help, that of a section, or for `all` the complete one."""
         print("\n".join(_lines(cast(Parser, parser), self.command, topic or "")).rstrip())
         raise SystemExit(0)
 
@@ -39,24 +39,20 @@ def _lines(parser: Parser, command: type[Options], topic: str) -> Iterator[str]:
     own = sorted((o for o in known if issubclass(o.owner, Options)), key=lambda option: bool(option.option_strings))
     fields = groupby((o for o in known if not issubclass(o.owner, Options)), lambda o: o.dest.rpartition(".")[0])
     sections = {path: list(options) for path, options in fields} if "settings" in command.model_fields else {}
-    wanted = topic.removeprefix("--").replace("-", "_")
+    wanted, is_brief = topic.replace("-", "_"), not topic and bool(sections)
     if topic in ("", "all"):
         usage = [f"usage: {parser.prog}", *(o.usage for o in own if not o.option_strings), "[options]" * bool(own)]
         for paragraph in (" ".join(usage), *(inspect.getdoc(command) or "").split("\n\n")):
             yield from (*_wrapped(paragraph), "")
-        is_brief = not topic and bool(sections)
         yield from _rows(own, is_brief)
         if sections:
             yield from ("", "settings:", *_rows(sections.pop(""), is_brief), "")
             yield from _titles(sections) if is_brief else _pages(sections)
     elif pages := {path: page for path, page in sections.items() if f"{path}.".startswith(f"{wanted}.")}:
         yield from _pages(pages)
-    elif found := [option for option in known if wanted in (option.dest, option.dest.rpartition(".")[2])]:
-        yield from _rows(found)
     else:
         names = [*(path for path in sections if path and "." not in path), "all"]
-        near = nearest(wanted, [*names, *(option.dest for option in known)])
-        raise InputError("help", f"found {shown(topic)}", f"{', '.join(names)}, or an option", near)
+        raise InputError("help", f"found {shown(topic)}", ", ".join(names), nearest(wanted, names))
 
 
 def _rows(options: Sequence[Option], is_brief: bool = False) -> Iterator[str]:
@@ -78,9 +74,8 @@ def _row(left: str, text: str) -> Iterator[str]:
 
 def _default(value: Any) -> str:
     """The default of an option, empty if that is none or false."""
-    if isinstance(value, tuple):
-        return " ".join(map(_default, value))
-    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    numbers = value if isinstance(value, tuple) else (value,)
+    text = " ".join(f"{one:.4g}" if isinstance(one, float) else str(one) for one in numbers)
     return {"None": "", "False": "", "True": "true"}.get(text, text)
 
 

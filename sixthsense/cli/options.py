@@ -205,14 +205,12 @@ def _too_many(word: str, given: Table, options: Sequence[Option]) -> InputError:
                 return InputError(option.dest, f"found {shown(given.get(option.dest))} and {shown(word)}", "one")
         return InputError("arguments", f"found {shown(word)}", "options alone")
     flag = word.partition("=")[0]
-    path, _, name = flag.rpartition(".")
     flags = [option.option_strings[0] for option in options if option.option_strings]
     within = [known for known in flags if known.startswith(f"{flag}.")]
-    siblings = [known for known in flags if known.rpartition(".")[0] == path]
-    namesakes = [known for known in flags if known.endswith(f".{name.lstrip('-')}")]
+    siblings = [known for known in flags if known.rpartition(".")[0] == flag.rpartition(".")[0]]
+    namesakes = [known for known in flags if known.endswith(f".{flag.lstrip('-')}")]
     near = "" if within else " or ".join(namesakes) or nearest(flag, siblings or flags)
-    allowed = within or siblings or [known for known in flags if "." not in known]
-    return InputError(shown_name(flag), "no such option", ", ".join(allowed), near)
+    return InputError(shown_name(flag), "no such option", ", ".join(within or siblings), near)
 
 
 def is_of_part(word: str) -> bool:

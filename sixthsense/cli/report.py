@@ -25,12 +25,11 @@ class Report(Options):
     up to its last record.
 
     The figures of one run are written to its own figures/. Several runs are drawn side by side, with a table of
-    metrics. Of a campaign there are medians and bands over its runs, errors over time and distance, and the averaged
-    NEES.
+    metrics.
     """
 
     folders: Annotated[tuple[str, ...], Arg("RUN_DIR ...", is_positional=True)] = ()
-    """Folder of a run, or of a campaign."""
+    """Folder of a run."""
     out: Annotated[Path | None, Arg("DIR")] = None
     """Folder to write; for several runs by default a new one under runs/."""
     overwrite: bool = False
@@ -44,7 +43,7 @@ class Report(Options):
         """Draw the figures of runs."""
         folders, out = self.folders, self.out
         if not folders:
-            raise InputError("folders", "found nothing", "folders of runs, or of a campaign")
+            raise InputError("folders", "found nothing", "folders of runs")
         if out is not None and out.exists() and not self.overwrite:
             raise InputError("out", f"{out} exists", "a new folder, or `overwrite`")
         from sixthsense.evaluation.measured_run import check_folders
@@ -55,11 +54,9 @@ class Report(Options):
         from sixthsense.figures.run import load
 
         form: Form = checked("figures", Form, self.figures)
-        if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
-            return _report_campaign(self, form)
         if self.animate is not None and len(folders) > 1:
             raise InputError("animate", f"found {len(folders)} runs", "one run")
-        check_folders(folders, "the folder of a run or of a campaign")
+        check_folders(folders)
         runs = [load(folder) for folder in folders]
         if self.animate is not None:
             check_film(self.animate, runs[0].trace)
@@ -76,23 +73,6 @@ class Report(Options):
             _animate(runs[0], folders[0], file)
             print(f"written: {file}")
         return DONE
-
-
-def _report_campaign(options: Report, form: Form) -> int:
-    """Draw the figures of one campaign."""
-    folder, *others = options.folders
-    if others:
-        raise InputError("folders", f"found a campaign among {1 + len(others)} folders", "one campaign alone, or runs")
-    if options.animate is not None:
-        raise InputError("animate", "found with a campaign", "with one run")
-    from sixthsense.campaigns import load_campaign
-    from sixthsense.campaigns.report import report_campaign
-
-    out = options.out or Path(folder) / "figures"
-    files = report_campaign(folder, out, form)
-    print(load_campaign(folder).summary().to_string())
-    print(f"written to {out}/: {', '.join(file.name for file in files)}")
-    return DONE
 
 
 def _animate(run: Run, folder: str, film: Path) -> None:

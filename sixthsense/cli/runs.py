@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
-from pydantic import Field
-
-from sixthsense.cli.common import (
-    Common,
-    OfScene,
-    WithPriorMap,
-    announce,
-    live_view,
-    run_folder,
-    show_end,
-)
+from sixthsense.cli.common import Common, OfScene, WithPriorMap, announce, live_view, run_folder, show_end
 from sixthsense.cli.options import Arg, Table
 from sixthsense.config import Config, is_of_replay
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import OF_THE_ROBOT
-
-if TYPE_CHECKING:
-    from sixthsense.auditing.result import Audit
-    from sixthsense.figures.run import Run as FinishedRun
 
 
 class Run(WithPriorMap, OfScene):
@@ -75,14 +61,6 @@ class Replay(WithPriorMap):
     """Units of a log without metres and radians: ranges=mm,odometry=cm,angles=degrees,headings=degrees."""
     robot: Annotated[int | None, Arg("N")] = None
     """Robot to use from an MRCLAM folder with several."""
-    truth: Annotated[Path | None, Arg("FILE")] = None
-    """True poses, a bag, TUM file or folder of a run: the run is audited by them, ATE, RPE and NEES, aligned by all."""
-    truth_topic: str = ""
-    """Topic of the truth in a bag: one of poses, or /tf."""
-    truth_frames: Annotated[tuple[str, str] | None, Arg("PARENT CHILD")] = None
-    """Of the truth in /tf."""
-    truth_offset: Annotated[float | None, Field(gt=0.0), Arg("S")] = None
-    """Search an offset of the truth's clock up to S seconds."""
 
     @classmethod
     def start(cls, given: Table) -> str | Config:
@@ -104,58 +82,15 @@ class Replay(WithPriorMap):
                 "log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
             )
         check_out(self.log, self.out)
-        from sixthsense.figures.plot import save
         from sixthsense.running.runs import RunHooks, replay_log
 
-        self.check_truth()
         prior = self.prior_start()
         found = open_recorded(self.log, self.settings, self.relations, chosen)
         for note in found.notes:
             announce(f"note: {found.name}: {note}")
         stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
         with run_folder(self, found.config, stem, found.files, prior) as folder, live_view(self) as hooks:
-            audits: list[Audit | InputError] = []
-            judge = None if self.truth is None else lambda run: audits.append(self.audit(run))
-            run = replay_log(found, folder, RunHooks(hooks, say=announce, at_end=judge), prior)
-            for audit in audits:
-                if isinstance(audit, InputError):
-                    raise audit
-                print(f"{audit}\n")
-                if run.folder is not None:
-                    save(audit.plot(), run.folder / "figures" / "audit.png")
-            return show_end(run, self)
-
-    def check_truth(self) -> None:
-        """Read the truth that the run is audited by: what is wrong with it is told before the replay."""
-        if self.truth is None:
-            for name in ("truth_topic", "truth_frames", "truth_offset"):
-                if getattr(self, name):
-                    raise InputError(name, "found without `truth`", "with it")
-            return
-        import numpy as np
-
-        from sixthsense.auditing.opening import Options, open_truth
-        from sixthsense.auditing.poses import Poses
-
-        run = Poses("the run", np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
-        open_truth(self.truth, run, run.name, Options(**self._of_truth()))
-
-    def audit(self, run: FinishedRun) -> Audit | InputError:
-        """The audit of a run's keyframes by the truth, aligned by all poses, which the record keeps; or why not."""
-        from sixthsense.auditing.call import audit
-
-        try:
-            found = audit(run, self.truth, align="all", **self._of_truth())
-        except InputError as error:  # raised when the run is kept
-            return error
-        run.trace.audit = found.as_dict()
-        return found
-
-    def _of_truth(self) -> dict[str, Any]:
-        """The options of the audit."""
-        return {
-            "truth_topic": self.truth_topic, "truth_frames": self.truth_frames, "time_offset": self.truth_offset
-        }  # fmt: skip
+            return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), self)
 
 
 class Merge(Common):
@@ -169,10 +104,6 @@ class Merge(Common):
 
     runs: Annotated[tuple[str, ...], Arg("RUN_A RUN_B", is_positional=True)] = ()
     """The folders of the two runs."""
-    relations: Annotated[Path | None, Arg("FILE")] = None
-    """Hand-checked relations between poses, the reference of the trajectory's error."""
-    force: bool = False
-    """Merge runs that contradict each other, too."""
 
     @classmethod
     def start(cls, given: Table) -> str | Config:
@@ -201,8 +132,8 @@ class Merge(Common):
         from sixthsense.running.runs import RunHooks
 
         announce(f"looking for {second} in the map of {first}")
-        merged = open_merged(Path(first), Path(second), self.settings, self.relations, self.force)
+        merged = open_merged(Path(first), Path(second), self.settings)
         for note in merged.notes:
             announce(f"note: {note}")
         with run_folder(self, merged.config, merged.name, merged.files) as folder, live_view(self) as hooks:
-            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce), self.force), self)
+            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), self)

@@ -12,4 +12,3 @@ from sixthsense.config.section import Section as Section
 from sixthsense.config.section import as_table as as_table
 from sixthsense.config.section import merge as merge
 from sixthsense.config.sections import *  # noqa: F403
-from sixthsense.config.tree import Config as Config

@@ -78,8 +78,3 @@ def import_extra(module: str, extra: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise InputError(module, f"cannot be imported ({error}), {installing(extra)}") from None
-
-
-def pandas() -> Any:
-    """The module pandas."""
-    return import_extra("pandas", "notebooks")

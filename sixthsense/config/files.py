@@ -12,7 +12,7 @@ from typing import Any
 from sixthsense.config.errors import InputError
 from sixthsense.config.presets import preset
 from sixthsense.config.section import as_table, merge, shown
-from sixthsense.config.tree import Config
+from sixthsense.config.sections import Config
 from sixthsense.config.version import __version__
 
 _MOST_BYTES = 1 << 23

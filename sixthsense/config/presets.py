@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.parts import import_named
 from sixthsense.config.section import merge, shown
-from sixthsense.config.tree import Config
+from sixthsense.config.sections import Config
 
 if TYPE_CHECKING:
     from sixthsense.config.fields import Fields

@@ -84,10 +84,6 @@ class Section(BaseModel):
         """Names of the fields that a caller, a file or an option has stated; all others are defaults or of a preset."""
         return self.model_fields_set
 
-    def explicit_table(self) -> dict[str, Any]:
-        """The fields that were stated, nested as in a file."""
-        return self.model_dump(exclude_unset=True)
-
     def as_implied(self) -> Self:
         """The same values, of which none counts as stated."""
         values = {name: value.as_implied() if isinstance(value, Section) else value for name, value in self}
@@ -110,7 +106,7 @@ def merge(base: S, table: Mapping[str, Any]) -> S:
     """
     changes: dict[str, Any] = {}
     for name, value in base.with_implied({str(key).replace("-", "_"): value for key, value in table.items()}).items():
-        stated = value.explicit_table() if isinstance(value, Section) else value
+        stated = value.model_dump(exclude_unset=True) if isinstance(value, Section) else value
         current = getattr(base, name, None) if name in type(base).model_fields else None
         if isinstance(current, Section) and isinstance(stated, Mapping):
             try:

@@ -1,22 +1,17 @@
-"""The sections of the configuration: the robot and its noise, the stages of SLAM, and what drives the robot."""
+"""The configuration tree, structured like the pipeline; the docstring of a field is its text in the help."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from sixthsense.config import parts
 from sixthsense.config.errors import InputError
-from sixthsense.config.section import (
-    Count,
-    Distribution,
-    Noise,
-    NonNegative,
-    Positive,
-    PositiveCount,
-    Section,
-)
+from sixthsense.config.section import Count, Distribution, Noise, NonNegative, Positive, PositiveCount, Section
 
 
 class MotionNoise(Section):
@@ -323,3 +318,141 @@ class SafetyConfig(Section):
     """Largest margin beyond grid.clearance-m that paths are to keep, however uncertain the pose; 0: no margin."""
     guard: bool = True
     """Off: commands are not checked."""
+
+
+def _table(value: Any) -> Any:
+    """The options of a part as a table; they may be given as an object of its `Options`."""
+    options = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
+    return {str(k).replace("-", "_"): one for k, one in options.items()} if isinstance(options, Mapping) else options
+
+
+PartOptions = Annotated[dict[str, Any], BeforeValidator(_table)]
+
+
+class Config(Section):
+    """All settings of a run: the same configuration and source give the same run, bit for bit."""
+
+    scene: str = "apartment"
+    """Shipped scene, or a file: .toml, map_server .yaml, .scn."""
+    preset: str = "default"
+    """Set of values: default, worn, noiseless, report, log, mrclam or victoria. A file and options override it."""
+    estimator: Annotated[str, parts.ESTIMATORS] = "ekf-invariant"
+    """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf, isam2, or your own. The first three are filters that stay
+    consistent when the robot turns, ekf is the report's filter, isam2 a smoother; `sixthsense parts` says how one of
+    yours is named."""
+    front_end: Annotated[str, parts.FRONT_ENDS] = "landmarks"
+    """What the estimator is given: landmarks, scan-matching, or your own. landmarks: observations of walls and points;
+    scan-matching: relative poses of keyframes, for an estimator that keeps all poses, isam2. Logs with scans: isam2
+    and scan-matching, unless an estimator is named."""
+    extractor: Annotated[str, parts.EXTRACTORS] = "lines"
+    """What finds landmarks in a scan: lines, or your own. lines: walls, corners and free ends; `features` has its
+    options."""
+    place_search: Annotated[str, parts.PLACE_SEARCHES] = "branch-and-bound"
+    """What proposes old places that the robot may be at again: branch-and-bound, or your own. With front_end
+    scan-matching; what is proposed is judged and verified in any case."""
+    calibrate_wheels: bool = False
+    """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
+    prior is in assumed.wheels."""
+    calibrate_sensor: bool = False
+    """Estimate the lens of a camera with the pose. For ekf-invariant and isam2, with logs of observations
+    that name their landmark; `core/sensor.py` has the prior."""
+    no_odometry: bool = False
+    """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
+    ignored."""
+    time_offset: float | None = None
+    """Time by which the stamps of a log's odometry are early beside those of its scans, s. None: it is looked for, by
+    the turns that both see."""
+    planner: Annotated[str, parts.PLANNERS] = "astar"
+    """Path planner: astar, rrtstar, or your own. astar: shortest over the grid's cells; rrtstar: sampled in the
+    plane."""
+    explorer: Annotated[str, parts.EXPLORERS] = "frontier"
+    """What chooses the next view of an exploration: frontier, random, or your own. frontier: the first viewpoint of a
+    short tour through all of them and home; random: places drawn in the largest unseen area, the report's idea."""
+    task: Literal["explore", "goal", "tour"] = "explore"
+    """Task: explore, goal or tour. explore: see all of the region, then drive home; goal: drive to a
+    goal; tour: drive to a list of goals, again and again until max-time, or once without it."""
+    goal: tuple[float, float] | None = None
+    """x y, world frame, m; none: the scene's."""
+    tour: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)] | None = None
+    """x y of each goal, world frame, m; none: the scene's."""
+    start: tuple[float, float, float] | None = None
+    """x y theta, world frame, m and rad; none: the scene's."""
+    region: tuple[float, float, float, float] | None = None
+    """x0 y0 x1 y1 of the region to see, m; none: the scene's."""
+    seed: Count = 0
+    """Seed of all randomness."""
+    max_time: Annotated[float, Field(gt=0.0, le=1e9)] | None = None
+    """Time limit by the clock of the source, s. None: the run ends when the task is over."""
+    people: bool | None = None
+    """People may walk by: what moves is no evidence. Neither the map nor scan matching counts it, and the robot keeps
+    its distance and its patience. None: where people walk in the simulated world."""
+    map_unknown: Literal["wall", "free"] = "wall"
+    """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
+    estimator_options: PartOptions = Field(default_factory=dict)
+    """Options of an estimator that is not shipped, by name."""
+    front_end_options: PartOptions = Field(default_factory=dict)
+    """Options of a front end that is not shipped, by name."""
+    extractor_options: PartOptions = Field(default_factory=dict)
+    """Options of an extractor that is not shipped, by name."""
+    place_search_options: PartOptions = Field(default_factory=dict)
+    """Options of a place search that is not shipped, by name."""
+    planner_options: PartOptions = Field(default_factory=dict)
+    """Options of a planner that is not shipped, by name."""
+    explorer_options: PartOptions = Field(default_factory=dict)
+    """Options of an explorer that is not shipped, by name."""
+    robot: RobotConfig = RobotConfig()
+    laser: LaserConfig = LaserConfig()
+    world: WorldConfig = WorldConfig()
+    assumed: AssumedConfig = AssumedConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    features: FeaturesConfig = FeaturesConfig()
+    association: AssociationConfig = AssociationConfig()
+    scans: ScansConfig = ScansConfig()
+    isam2: ISAM2Config = ISAM2Config()
+    grid: GridConfig = GridConfig()
+    rrtstar: RRTStarConfig = RRTStarConfig()
+    follow: FollowConfig = FollowConfig()
+    explore: ExploreConfig = ExploreConfig()
+    safety: SafetyConfig = SafetyConfig()
+
+    def with_implied(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What follows from named fields.
+
+        A goal replaces a tour, and a tour a goal. A named estimator gets a front end that it can use, and a named front
+        end an estimator that can use it. Without odometry the front end is scan matching.
+        """
+        table = dict(table)
+        for known in parts.KINDS:
+            options, part = f"{known.kind}_options", getattr(self, known.kind)
+            if known.name_of(table.get(known.kind, part)) != part:
+                table.setdefault(options, {})  # those were of another part
+            elif isinstance(table.get(options), Mapping):
+                table[options] = {**getattr(self, options), **table[options]}
+        for name, other in (("goal", "tour"), ("tour", "goal")):
+            if table.get(name) is not None:
+                table.setdefault(other, None)
+        if table.get("no_odometry") is True:
+            table = {"front_end": "scan-matching", **table}
+        estimator, front_end = table.get("estimator"), table.get("front_end")
+        if estimator is not None and front_end is None and self.front_end == "scan-matching" and estimator != "isam2":
+            return {**table, "front_end": "landmarks"}
+        if front_end == "scan-matching" and estimator is None and self.estimator in parts.FILTERS:
+            return {**table, "estimator": "isam2"}
+        return table
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        """Refuse values that exclude each other."""
+        if self.goal is not None and self.tour is not None:
+            raise InputError("goal", "found beside a tour", "one of the two")
+        if self.front_end == "scan-matching" and self.estimator in parts.FILTERS:
+            raise InputError("front_end", f"found scan-matching with estimator {self.estimator}", parts.KEEP_POSES)
+        if self.no_odometry and (self.front_end != "scan-matching" or self.calibrate_wheels):
+            found = "calibrate_wheels" if self.calibrate_wheels else f"front_end {self.front_end}"
+            raise InputError("no_odometry", f"found true with {found}", "with front_end scan-matching alone")
+        between = self.laser.period_ticks * self.robot.control_period_s
+        if self.laser.sweep_s > between * (1.0 + 1e-9):
+            raise InputError(
+                "laser.sweep_s", f"found {self.laser.sweep_s:g}", f"at most {between:g}, the time between two scans"
+            )
+        return self

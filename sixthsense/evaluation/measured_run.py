@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -131,17 +131,8 @@ class MeasuredRun:
 
     @property
     def summary(self) -> dict[str, str]:
-        """The lines of its summary, label and text: outcome, map, accuracy, consistency, speed.
-
-        Accuracy and consistency are those of the audit by a truth, if there was one.
-        """
-        told = self.audited.get("summary")
-        return run_summary(self.metrics) | (told if isinstance(told, dict) else {})
-
-    @property
-    def audited(self) -> dict[str, Any]:
-        """The audit of a replay by a truth; empty without one."""
-        return dict(self.trace.audit or {})
+        """The lines of its summary, label and text: outcome, map, accuracy, consistency, speed."""
+        return run_summary(self.metrics)
 
     def __repr__(self) -> str:
         lines = self.summary

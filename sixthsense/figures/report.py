@@ -1,4 +1,4 @@
-"""Reports on runs, campaigns and audits: their figures, a table of their metrics, and one page of HTML."""
+"""Reports on runs and audits: their figures, a table of their metrics, and one page of HTML."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import NOTES, parse_toml
 from sixthsense.config.section import as_table
 from sixthsense.config.version import __version__
-from sixthsense.evaluation.groups import MOST_GROUPS, Sample, differing, flat, grouped, numbers
+from sixthsense.evaluation.groups import Sample, differing, flat
 from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
-from sixthsense.evaluation.results import QUANTITIES, as_text, digits, html_of, side_by_side
-from sixthsense.figures.kinds import KINDS, OF_GROUPS, plot
+from sixthsense.evaluation.results import as_text, html_of, side_by_side
+from sixthsense.figures.kinds import KINDS, plot
 from sixthsense.figures.plot import Form, save_forms
 
 if TYPE_CHECKING:
@@ -91,7 +89,7 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
     out = Path(out)
     names = numbered_names([run.name for run in runs])
     samples = [run.sample(name) for name, run in zip(names, runs, strict=True)]
-    drawn, files = _draw(list(KINDS), samples, None, out, form)
+    drawn, files = _draw(samples, out, form)
     table = side_by_side({one.name: one.metrics for one in samples})
     if len(runs) > 1:
         files.append(out / "metrics.csv")
@@ -101,38 +99,12 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
         "What it rests on": [_summaries(labelled_runs)],
         "Figures": drawn,
         "Metrics": [as_text(table)],
-        "Beside the truth": [block for one in labelled_runs for block in _audit(*one)],
         "Configuration": list(_configuration(labelled_runs)),
         "Reproduction": [Text(_reproduction(*one)) for one in labelled_runs],
     }
     title = f"Runs compared: {', '.join(names)}" if len(runs) > 1 else runs[0].title
     verdicts = [verdict for one in labelled_runs for verdict in _verdicts(*one)]
     return [*(one.file for one in drawn), *files, write_page(out / "report.html", page(title, verdicts, sections))]
-
-
-def report_groups(
-    title: str, samples: Sequence[Sample], axes: Sequence[str], out: Path, form: Form, sections: Mapping[str, Any]
-) -> list[Path]:
-    """Write the figures of groups of runs, scene by scene, and `report.html` with them and other sections.
-
-    Runs are grouped by those of the `axes` that differ. A figure whose data all runs lack is left out. The sections
-    "Summary", "Configuration" and "Reproduction" are the caller's. Returns the written files.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    scenes = grouped(samples, "scene")
-    figures: list[Drawn] = []
-    files: list[Path] = []
-    tables: dict[str, Any] = {}
-    for scene, of_scene in scenes.items():
-        by = _axes(of_scene, axes)
-        suffix, heading = (f"-{scene}", f"Metrics in {scene}") if len(scenes) > 1 else ("", "Metrics")
-        drawn, vectors = _draw([*OF_GROUPS, "error-distance"], of_scene, by, out, form, suffix)
-        figures, files = figures + drawn, files + vectors
-        tables[heading] = [_spreads(grouped(of_scene, by))]
-    summary, *others = sections
-    verdicts = [Verdict(str(group), str(found)) for group, found in _consistencies(sections[summary][0])]
-    known = {summary: sections[summary], "Figures": figures, **tables, **{name: sections[name] for name in others}}
-    return [*(one.file for one in figures), *files, write_page(out / "report.html", page(title, verdicts, known))]
 
 
 def write_page(file: Path, text: str) -> Path:
@@ -145,21 +117,18 @@ def write_page(file: Path, text: str) -> Path:
     return file
 
 
-def _draw(
-    names: Sequence[str], samples: Sequence[Sample], by: Sequence[str] | None, out: Path, form: Form, suffix: str = ""
-) -> tuple[list[Drawn], list[Path]]:
-    """Write the figures with these names for which there are data; the figures, and the files of vector graphics."""
+def _draw(samples: Sequence[Sample], out: Path, form: Form) -> tuple[list[Drawn], list[Path]]:
+    """Write the figures for which there are data; the figures, and the files of vector graphics."""
     drawn: list[Drawn] = []
     files: list[Path] = []
-    for name in names:
-        what, _, over = name.partition("-")
+    for name in KINDS:
         try:
-            figure = plot(what, samples, by, over="distance" if over else "time")
+            figure = plot(name, samples, None)
         except InputError as error:
-            if error.where != what:
+            if error.where != name:
                 raise
             continue
-        drawn.append(Drawn(out / f"{name}{suffix}.png", KINDS[what].caption))
+        drawn.append(Drawn(out / f"{name}.png", KINDS[name].caption))
         files += save_forms(figure, drawn[-1].file, form)
     return drawn, files
 
@@ -182,47 +151,6 @@ def _summaries(runs: Sequence[tuple[str, MeasuredRun]]) -> pd.DataFrame:
 
     columns = {name: {k: text for k, text in run.summary.items() if k not in _VERDICTS} for name, run in runs}
     return pd.DataFrame(columns).fillna("")
-
-
-def _audit(name: str, run: MeasuredRun) -> Iterator[Text | Drawn]:
-    """What the audit of a replay by a truth has left in its folder."""
-    if run.folder is None or "text" not in run.audited:
-        return
-    yield Text("\n".join(filter(None, (name, str(run.audited["text"])))))
-    if (picture := run.folder / "figures" / "audit.png").exists():
-        yield Drawn(picture, f"{name} Errors in their 3-sigma tubes, NEES over time, chi-square Q-Q.".strip())
-
-
-def _axes(samples: Sequence[Sample], axes: Sequence[str]) -> list[str]:
-    """The axes that differ in these runs, without the last ones where all would make too many groups."""
-    fields = [sample.fields for sample in samples]
-    by = differing(fields, axes) or ["estimator"]
-    while len(by) > 1 and len({tuple(one[name] for name in by) for one in fields}) > MOST_GROUPS:
-        by.pop()
-    return by
-
-
-def _spreads(groups: Mapping[str, Sequence[Sample]]) -> pd.DataFrame:
-    """The median of each metric over the runs of a group, and 10 to 90 %."""
-
-    def spread(values: Any) -> str:
-        low, middle, high = (digits(float(value)) for value in np.percentile(values, [10.0, 50.0, 90.0]))
-        return middle if low == high else f"{middle} ({low} to {high})"
-
-    columns = {
-        f"{name}, {len(samples)} runs": {
-            key: spread(found) for key in QUANTITIES if len(found := numbers(samples, key))
-        }
-        for name, samples in groups.items()
-    }
-    return as_text(side_by_side(columns))
-
-
-def _consistencies(summary: pd.DataFrame) -> Iterator[tuple[str, str]]:
-    """Each group with its NEES and the verdict on it."""
-    for names, row in summary.iterrows():
-        if row["NEES"]:
-            yield " · ".join(map(str, names)) if isinstance(names, tuple) else str(names), f"NEES {row['NEES']}"
 
 
 def _configuration(runs: Sequence[tuple[str, MeasuredRun]]) -> Iterator[pd.DataFrame | Text]:

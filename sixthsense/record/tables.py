@@ -30,7 +30,7 @@ SCAN = ("log_stamps_s", "estimates", "odometry", "truths", "walkers", "last_key"
 KEYFRAME = ("key_truths", "key_measured")
 """the same with a value per keyframe"""
 END = ("outcome", "path_length_m", "wall_time_s", "last_position", "culled", "walls_merged", "plans_below_margin",
-       "plans_by_astar", "guard_stops", "loop_closures", "wheels", "sensor", "audit")  # fmt: skip
+       "plans_by_astar", "guard_stops", "loop_closures", "wheels", "sensor")  # fmt: skip
 """small values of the trace"""
 
 

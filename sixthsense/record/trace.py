@@ -234,8 +234,6 @@ class Trace:
     """the prior map that the run began with: `name` and `digest`, `pose` if given, `pose_sigma`; None without one"""
     verdict: Verdict | None = None
     """whether the map is right, and what speaks against it; None while the run goes on"""
-    audit: Mapping[str, Any] | None = None
-    """the audit of a replay by a truth, as a table; None without one"""
     name: str = ""
     """name of the scene, log or folder"""
     live: Live | None = None

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from sixthsense.config import Config, load_config, merge
 from sixthsense.config.errors import InputError
-from sixthsense.config.files import absolute
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.figures.run import Run
-from sixthsense.logs.log import Log, read_relations
-from sixthsense.logs.replay_input import ReplayInput, open_recorded, relations_of
+from sixthsense.logs.log import Log
+from sixthsense.logs.replay_input import ReplayInput, open_recorded
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import read_verdict
 from sixthsense.record.trace import Trace
@@ -27,7 +24,6 @@ from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.prior_map import KeyScans
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
-from sixthsense.verdict.evidence import between_runs
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
 _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
@@ -42,48 +38,23 @@ class Merged(ReplayInput):
     """stamp of the second run's first tick"""
 
 
-class Ties(NamedTuple):
-    """What holds the two runs of a merged map together."""
-
-    links: int
-    """between keyframes of the one and of the other"""
-    agreement: float
-    """share of the returns of each that the other confirms, of those that it can judge; NaN where it can judge none"""
-
-    def __str__(self) -> str:
-        agree = "" if math.isnan(self.agreement) else f", they agree in {100.0 * self.agreement:.1f} % of what both saw"
-        return f"{self.links:,} links join both runs{agree}"
-
-
-def ties(trace: Trace, begin_ns: int) -> Ties:
-    """What ties the keyframes of a merged run before and from a stamp on."""
+def joining_links(trace: Trace, begin_ns: int) -> int:
+    """The number of links between the keyframes of a merged run before a stamp and those from it on."""
     first = int(np.searchsorted(trace.key_stamps_ns, begin_ns))
-    links = 0 if trace.links is None else int(np.sum((trace.links.ends < first).sum(axis=1) == 1))
-    confirmed, through = between_runs(trace.witnesses(), first)
-    return Ties(links, confirmed / (confirmed + through) if confirmed + through else math.nan)
+    return 0 if trace.links is None else int(np.sum((trace.links.ends < first).sum(axis=1) == 1))
 
 
-def open_merged(
-    first: Path, second: Path, config: Config | None, relations: str | Path | None, force: bool = False
-) -> Merged:
-    """The folders of two runs as one log, with `relations` to evaluate its replay. Raises what `merged_log` raises.
+def open_merged(first: Path, second: Path, config: Config) -> Merged:
+    """The folders of two runs as one log, by the configuration of the first. Raises what `merged_log` raises.
 
-    Without `config` it is that of the first run. Scans are aligned, whatever front end and estimator it names. Raises
-    InputError for a run whose own map was told broken, unless by `force`.
+    Scans are aligned, whatever front end and estimator it names. Raises InputError for a run whose own map is broken.
     """
     for run in (first, second):
-        verdict = None if force else read_verdict(run)
+        verdict = read_verdict(run)
         if verdict is not None and verdict.level == "broken":
-            raise InputError(run, f"found a map that is {verdict}", "one that is good, or `force`")
-    settings = [config or load_config(first / "config.toml"), load_config(second / "config.toml")]
-    one, other = (open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True))
-    merged = merged_log(one, other)
-    if relations is None:
-        return merged
-    notes = list(merged.notes)
-    known = relations_of(merged.log, read_relations(relations), str(relations), notes)
-    files = {**merged.files, "relations": str(absolute(relations))}
-    return dataclasses.replace(merged, relations=known, files=files, notes=tuple(notes))
+            raise InputError(run, f"found a map that is {verdict}", "one that is good")
+    settings = config, load_config(second / "config.toml")
+    return merged_log(*(open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True)))
 
 
 def _aligning(config: Config) -> Config:
@@ -118,25 +89,25 @@ def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
     return Merged(f"{first.name}-{second.name}", log, first.config, None, files, notes, begin_ns)
 
 
-def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks, force: bool = False) -> Run:
+def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> Run:
     """Replay a merged log, as `replay_log`; raises InputError if the second run could not be linked to the first.
 
-    That is also raised if the runs contradict each other, unless by `force`. Nothing is left of the folder then. What
-    ties the runs is told to `watch.say`.
+    That is also raised if the runs contradict each other. Nothing is left of the folder then. `watch.say` gets the
+    number of links that join the runs.
     """
 
     def check(run: Run) -> None:
         trace = run.trace
         if trace.outcome == "interrupted":
             return
-        tied = ties(trace, merged.begin_ns)
-        if not tied.links:
+        links = joining_links(trace, merged.begin_ns)
+        if not links:
             found = "found no scan of the second run that could be linked to the first"
             raise InputError("merge", found, "two runs that share a part of one building")
-        if not force and trace.verdict is not None and trace.verdict.level == "broken":
-            raise InputError("merge", f"found a map that is {trace.verdict} ({tied})", "runs that agree, or `force`")
+        if trace.verdict is not None and trace.verdict.level == "broken":
+            raise InputError("merge", f"found a map that is {trace.verdict} ({links:,} links)", "runs that agree")
         if watch.say is not None:
-            watch.say(f"note: {tied}")
+            watch.say(f"note: {links:,} links join both runs")
 
     try:
         return replay_log(merged, folder, dataclasses.replace(watch, at_end=check))

@@ -139,16 +139,6 @@ def _overlaps(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) ->
     return out
 
 
-def between_runs(found: Witnesses, first: int) -> tuple[int, int]:
-    """Returns of keyframes before `first` and from it on that the others have confirmed, and seen through."""
-    if not found.scans:
-        return 0, 0
-    pairs = old_pairs(found.trajectory, travelled(found.trajectory))
-    pairs = pairs[(pairs[:, 0] < first) & (pairs[:, 1] >= first)]
-    judged = compared(views_of(found.scans), found.trajectory, pairs).sum(axis=0)
-    return int(judged[SURFACE]), int(judged[THROUGH])
-
-
 def _by_keyframe(keyframes: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
     """(K, 4) what was found of pairs (m, 4), added up for the keyframes (m, n) that each is of."""
     out = np.zeros((count, 4))

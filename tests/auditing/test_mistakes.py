@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 import sixthsense as ss
-from sixthsense.cli import main
 from sixthsense.config.errors import InputError
 
 N = 300
@@ -123,19 +122,6 @@ def test_a_consistent_estimate_beside_a_truth_every_four_seconds_along_a_curve_i
     assert dense.findings.poses == 5999 and dense.outcome == "consistent" and "bends" not in str(dense)
     shifted = ss.audit(estimate, (t[::2] + 1e4, truth[::2]), same_start=True)
     assert shifted.findings.pose == dense.findings.pose
-
-
-def test_the_command_validates_without_a_truth(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    poses, covs = spatial("rotation")
-    rows = np.triu_indices(6)
-    np.savetxt("a.tum", np.column_stack([STAMPS, poses]))
-    np.savetxt("a.cov", np.column_stack([STAMPS, covs[:, *rows]]))
-    line = "audit a.tum --covariance a.cov --validate"
-    assert main(line.split()) == 1
-    assert "only the variances of z, roll, pitch are stated" in capsys.readouterr().out
-    assert main([*line.split(), "--order", "rotation"]) == 0
-    assert "a.tum: nothing found that cannot be right" in capsys.readouterr().out
 
 
 def shown_by(estimate, truth, stamps_s=None):

@@ -3,7 +3,6 @@
 import dataclasses
 import re
 from collections.abc import Callable
-from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -185,20 +184,6 @@ def test_a_campaign_is_compared_in_groups_over_its_seeds(done: CampaignPlan, exp
         ss.preset("worn"), {**FIELDS, "estimator": "isam2", "seed": 2, "scene": sample.config.scene}
     )
     assert sample.curves().time_s.tolist() == [0.0, 1.0, 2.0, 3.0]
-
-
-def test_the_report_has_figures_of_each_scene_medians_and_the_command_that_goes_on(done, capsys, monkeypatch) -> None:
-    monkeypatch.setattr("sixthsense.figures.plot.save", lambda figure, file: figure.savefig(file, dpi=20))
-    assert cli.main(["report", "mc"]) == cli.DONE
-    names = {f"{kind}-{scene}.png" for kind in ("error", "error-distance", "rpe", "nees") for scene in ("hall", "loop")}
-    assert {file.name for file in Path("mc/figures").iterdir()} == names | {"metrics.csv", "report.html"}
-    page = Path("mc/figures/report.html").read_text()
-    assert page.count("<img") == 8 and "Metrics in loop" in page
-    assert "12 (11.2 to 12.8)" in page and "2 (1.2 to 2.8)" in page  # ATE 11, 12, 13 and 1, 2, 3: numpy by hand
-    command = unescape(re.search(r"<pre>sixthsense (campaign .*?)</pre>", page)[1])  # type: ignore[index]
-    capsys.readouterr()
-    assert cli.main(command.split()) == cli.DONE
-    assert "all 12 runs are already in mc/" in capsys.readouterr().err
 
 
 # The command

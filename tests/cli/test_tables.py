@@ -204,8 +204,8 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "replay a.bag --config x/config.toml --topics /s,/o --odometry-frames odom,base", "replay x",
         ),
         (
-            {"log": "mon", "merged_with": "tue", "relations": "r.txt"}, None,
-            "merge mon tue --config x/config.toml --relations r.txt", "replay x",
+            {"log": "mon", "merged_with": "tue"}, None,
+            "merge mon tue --config x/config.toml", "replay x",
         ),
         (
             None, {"name": "first", "pose": [0.0, 0.0, 0.0], "pose_sigma": [0.0, 0.0, 0.0]},

@@ -193,8 +193,8 @@ def test_a_part_is_named_by_a_short_name_or_by_its_import_path() -> None:
     assert "ekf" in ESTIMATORS and "lab.fading:Fading" in ESTIMATORS and "lab:Own.Inner" in ESTIMATORS
     for bad in ("", "1a", "a b", "ukf", "lab.fading:", ":Fading", "lab/fading:Fading", 3):
         assert bad not in ESTIMATORS
-    assert ESTIMATORS.name_of(Config) == "sixthsense.config.tree:Config" and ESTIMATORS.name_of("ekf") == "ekf"
-    assert ESTIMATORS.load("sixthsense.config.tree:Config") is Config
+    assert ESTIMATORS.name_of(Config) == "sixthsense.config.sections:Config" and ESTIMATORS.name_of("ekf") == "ekf"
+    assert ESTIMATORS.load("sixthsense.config.sections:Config") is Config
     with pytest.raises(InputError, match=r"^estimator: found .*<lambda>, allowed: a class or function at the top"):
         ESTIMATORS.name_of(lambda: None)
     for name, said in {

