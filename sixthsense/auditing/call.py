@@ -83,8 +83,8 @@ def audit(
     order
         "translation" or "rotation": which comes first in a covariance.
     align
-        "none", by default; "first": the first pose becomes the true one, and its covariance counts; "all", the default
-        with `pair`: the motion with the least sum of NEES, whose degrees of freedom are taken off.
+        "none", by default; "all", the default with `pair`: the motion with the least sum of NEES, whose degrees of
+        freedom are taken off.
     time_offset
         Search an offset of the stamps up to so many seconds, where the mean NEES is least.
     same_start
@@ -167,8 +167,6 @@ def _beside_each_other(
         raise InputError("pair", "found beside a truth or several estimates", "one estimate, and no truth")
     if isinstance(second, list):
         raise InputError("pair", f"found a list of {len(second)}", "one system")
-    if options.align == "first":
-        raise InputError("align", "found first with `pair`", "none or all")
     systems = []
     for name, (one, _, file) in zip(("first", "second"), _matched([source, second], None, covariance), strict=True):
         of_second = {"topic": options.pair_topic or options.topic} if name == "second" else {}
@@ -190,7 +188,7 @@ def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options)
     pair = paired(replace(estimate, frame=frame), truth, offset_ns)
     check_is_not_the_truth(pair)
     motion = aligned(pair, align, frame)
-    own, other = (errors_of(pair, motion, align, one) for one in (frame, "body" if frame == "world" else "world"))
+    own, other = (errors_of(pair, motion, one) for one in (frame, "body" if frame == "world" else "world"))
     wrong = [f"{WRONG}: {mistake}" for mistake in of_errors(own)] if truth.covs is None else []
     notes = (*pair.notes, *of_poses(pair, align), *wrong)
     return _Compared(estimate, pair.truth, own, other, offset, trajectory_errors(pair), notes)

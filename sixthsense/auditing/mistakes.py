@@ -25,7 +25,6 @@ _DEGREE = math.pi / 180.0
 _FEWEST = 20  # poses and ways
 _FITS, _UNLIKE = 0.2, 0.5  # share of the spread or of the errors that remains: one cause, other drives
 _SCALE, _TURNED_RAD, _STEADY = 1.2, math.radians(10.0), 0.9  # of units and axes that are worth a word
-_JUMP, _JUMP_ATE = 20.0, 0.5  # times the usual step, and share of the aligned error, of a single one
 _NEAR = 1.5  # times: the errors over what a mistake would make of them
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -106,7 +105,7 @@ def of_columns(pair: Pair) -> str:
 def of_poses(pair: Pair, align: Align) -> Iterator[str]:
     """A line for each thing that poses in the plane show beside the truth, with the figures.
 
-    Whether they are of one drive, by their turns and their shape; and if they are: units, frames, axes, clocks, jumps.
+    Whether they are of one drive, by their turns and their shape; and if they are: units, frames, axes, clocks.
     """
     if not pair.estimate.is_planar or len(pair.estimate) < _FEWEST:
         return
@@ -144,11 +143,6 @@ def of_poses(pair: Pair, align: Align) -> Iterator[str]:
             "axes of the body"
         )
     yield from _other_clock(pair, wrap_angle(off - np.angle(mean)), headings[1])
-    steps = np.linalg.norm(np.diff(apart, axis=0), axis=1)
-    most = int(np.argmax(steps))
-    if steps[most] > _JUMP * np.median(steps) and steps[most] > _JUMP_ATE * rms(apart):
-        at_s = 1e-9 * float(pair.estimate.stamps_ns[most + 1])
-        yield f"at {at_s:.2f} s the estimate jumps by {steps[most]:.2f} m beside the truth"
 
 
 def _headings(poses: Poses) -> Array:

@@ -69,18 +69,11 @@ def open_estimate(source: Source, covariance: Path | None, options: Options) -> 
         poses = _of_arrays("estimate", source, ("stamps", "poses", "covariances"))
     assert poses.covs is not None
     check_covariances(poses)
-    poses = _ordered(poses, options)
+    if options.order == "rotation":
+        half = 2 if poses.covs.shape[1] == 3 else 3
+        poses = replace(poses, covs=np.roll(poses.covs, (half, half), axis=(1, 2)))
     notes = *poses.notes, *(f"{WRONG}: {mistake}" for mistake in of_estimate(poses))
     return replace(poses, notes=notes, frame=options.frame or poses.frame)
-
-
-def _ordered(poses: Poses, options: Options) -> Poses:
-    """The poses with covariances whose first half is the translation."""
-    if options.order == "rotation":
-        assert poses.covs is not None
-        half = 2 if poses.covs.shape[1] == 3 else 3
-        return replace(poses, covs=np.roll(poses.covs, (half, half), axis=(1, 2)))
-    return poses
 
 
 def open_truth(source: Source | None, estimate: Poses, of: Source, options: Options) -> Poses:
@@ -227,22 +220,22 @@ def _described(given: object) -> str:
 
 def _nanoseconds(what: str, given: Any) -> tuple[Stamps, list[str]]:
     """Stamps (N,), ns, of seconds or parts of them since 1970, and of times and durations of NumPy and pandas."""
-    stamps = np.asarray(given)
-    if stamps.dtype == object and stamps.ndim == 1 and stamps.size and hasattr(stamps[0], "to_datetime64"):
-        # Times of pandas with a time zone.
-        stamps = np.array([one.to_datetime64() for one in stamps])
-    if stamps.dtype.kind in "mM":
-        if np.isnat(stamps).any():
-            raise InputError(f"{what} stamps", "found one that is no time (NaT)", "times")
-        return stamps.astype(f"{stamps.dtype.kind}8[ns]").astype(np.int64), []
+    import pandas as pd
+
     try:
-        seconds = as_array(f"{what} stamps", given, ("N",))
-    except ValueError as error:
+        times = pd.Index(given)
+        if times.dtype.kind not in "mM":
+            seconds = as_array(f"{what} stamps", given, ("N",))
+    except (ValueError, TypeError) as error:
         raise InputError("", str(error)) from None
+    if times.dtype.kind in "mM":
+        if times.hasnans:
+            raise InputError(f"{what} stamps", "found one that is no time (NaT)", "times")
+        return np.asarray(times.as_unit("ns").asi8), []
     parts, unit = unit_of(seconds)
     notes = [] if parts == 1 else [f"{what}: stamps as large as {seconds.max():.0f} are taken as {unit}"]
-    if stamps.dtype.kind in "iu":
-        return stamps.astype(np.int64) * (10**9 // parts), notes
+    if times.dtype.kind in "iu":
+        return np.asarray(given, dtype=np.int64) * (10**9 // parts), notes
     if np.abs(seconds).max(initial=0.0) * (1e9 / parts) > np.iinfo(np.int64).max:
         raise InputError(f"{what} stamps", f"found {seconds.max():g}", "seconds")
     return np.round(seconds * (1e9 / parts)).astype(np.int64), notes

@@ -17,7 +17,7 @@ from sixthsense.core.source import seconds
 from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
-Align = Literal["none", "first", "all"]
+Align = Literal["none", "all"]
 Motion = tuple[Array, Array]
 """rotation (n, n) and shift (n,): x -> R x + t"""
 
@@ -25,8 +25,10 @@ _GAP = 3.0
 """Longest time between two true poses that are interpolated, in median intervals: beyond it some are missing."""
 _BENT = 0.5
 """of the stated sigmas: the error of an interpolated truth beyond which only poses beside a true one are compared"""
-_COARSE_POSES, _STEPS, _FINE_STEPS = 1000, 100, 11
-"""of the search for a time offset: evenly chosen poses, steps of the grid on each side, and around the best of them"""
+_MOST_POSES, _OFFSETS, _OFFSET_STEPS, _SHORT_S = 1000, 51, 5, 1e-3
+"""of the search for a time offset: evenly chosen poses, offsets of its grid, steps from the best, and half of one, s"""
+_MOST_STEPS = 20
+"""of the search for an alignment"""
 _SAME = 1e-9
 """Metres and radians; an estimate that is nowhere farther from the truth is the truth."""
 
@@ -55,8 +57,6 @@ class Errors:
     """(N, d, d)"""
     orientations: Array
     """(N, n, n) estimated, from the axes of the body to those of the world"""
-    shared: float = 0.0
-    """share of the variance of the mean that one draw, the first pose, has; 0 without alignment by it"""
     of_estimate: Array | None = None
     """(N, d, d) part of the covariance that is the estimate's own: another estimate has one, too"""
 
@@ -165,32 +165,25 @@ def _beside(at: Stamps, true_ns: Stamps, nearest: NDArray[np.int64], used: NDArr
 
 
 def aligned(pair: Pair, align: Align, frame: Frame) -> Motion:
-    """The motion of the estimate onto the truth: none, by the first pose, or that with the least sum of NEES."""
-    if align == "all":
-        return _fitted(pair, frame)
-    if align == "first":
-        return _first(pair)
+    """The motion of the estimate onto the truth: none, or that with the least sum of NEES, by Gauss-Newton."""
     n = pair.truth.positions.shape[1]
-    return np.eye(n), np.zeros(n)
-
-
-def errors_of(pair: Pair, motion: Motion, align: Align, frame: Frame) -> Errors:
-    """The errors of the estimate after a motion, with its covariances read in the axes of `frame`.
-
-    After alignment by the first pose, whose error is then none, its covariance is carried to each other pose and added,
-    as that of an independent error.
-    """
-    found = _errors(pair, motion, frame)
-    if align != "first":
-        return found
-    if len(found.error) < 2:
-        raise InputError(pair.estimate.name, "found a single pose", "two or more for an alignment")
-    carry = rotations.levers(pair.truth.positions[1:] - pair.truth.positions[0])
-    cov = found.cov[1:] + carry @ found.cov[0] @ rotations.transposed(carry)
-    weight = np.mean(rotations.transposed(carry) @ np.linalg.solve(cov, carry), axis=0) @ found.cov[0]
-    # Of a quadratic form of Gaussian errors: the variance of e^T M e is 2 tr (M P)^2.
-    shared = float(np.trace(weight @ weight)) / len(weight)
-    return Errors(found.stamps_ns[1:], found.error[1:], cov, found.orientations[1:], shared)
+    if align == "none":
+        return np.eye(n), np.zeros(n)
+    turn = pair.truth.orientations[0] @ pair.estimate.orientations[0].T
+    shift = pair.truth.positions[0] - turn @ pair.estimate.positions[0]
+    for _ in range(_MOST_STEPS):
+        found = errors_of(pair, (turn, shift), frame)
+        places = pair.estimate.positions @ turn.T + shift
+        centre = places.mean(axis=0)
+        carry = rotations.levers(places - centre)
+        weighted = np.linalg.solve(found.cov, np.concatenate([carry, found.error[:, :, None]], axis=2))
+        sums = np.einsum("kij,kil->jl", carry, weighted)
+        step = -np.linalg.solve(sums[:, :-1], sums[:, -1])
+        by = rotations.exp(step[None, n:])[0]
+        turn, shift = by @ turn, by @ (shift - centre) + centre + step[:n]
+        if step @ sums[:, :-1] @ step < 1e-8:  # squared, in sigmas of the alignment
+            break
+    return turn, shift
 
 
 class Offset(NamedTuple):
@@ -205,70 +198,48 @@ class Offset(NamedTuple):
 def time_offset(estimate: Poses, truth: Poses, limit_s: float, align: Align, frame: Frame) -> Offset:
     """The offset of the stamps of the estimate, within +- `limit_s`, at which its mean NEES is least.
 
-    The search uses the poses whose stamps lie within the truth for every offset. Raises InputError if there are none,
-    and if the least value lies at the limit.
+    The search uses the poses whose stamps lie within the truth for every offset, from the best of a grid on by
+    Gauss-Newton. Raises InputError if there are none, and if the least value lies at the limit.
     """
     limit_ns = round(limit_s * 1e9)
     low, high = truth.stamps_ns[0] + limit_ns, truth.stamps_ns[-1] - limit_ns
     rows = np.flatnonzero((estimate.stamps_ns >= low) & (estimate.stamps_ns <= high))
     if len(rows) < 2:
         raise InputError("time_offset", f"found no pose more than {limit_s:g} s within the truth", "a smaller limit")
-    some = estimate.part(rows[np.unique(np.linspace(0, len(rows) - 1, _COARSE_POSES).astype(np.int64))])
-    every = estimate.part(rows)
+    some = estimate.part(rows[np.unique(np.linspace(0, len(rows) - 1, _MOST_POSES).astype(np.int64))])
 
-    def errors(offset_s: float, poses: Poses) -> Errors:
-        pair = paired(poses, truth, round(offset_s * 1e9))
-        return errors_of(pair, aligned(pair, align, frame), align, frame)
+    def errors(offset_s: float) -> Errors:
+        pair = paired(some, truth, round(offset_s * 1e9))
+        return errors_of(pair, aligned(pair, align, frame), frame)
 
-    grid = np.linspace(-limit_s, limit_s, 2 * _STEPS + 1)
-    best = int(np.argmin([errors(offset, some).nees.mean() for offset in grid]))
-    if best in (0, len(grid) - 1):
-        found, allowed = f"found the least NEES at the limit of {limit_s:g} s", "a larger limit, or a robot that moves"
-        raise InputError("time_offset", found, allowed)
-    # The mean NEES is a parabola of the offset near its least value.
-    beside = np.linspace(-1.0, 1.0, _FINE_STEPS) * (grid[1] - grid[0])
-    half_bend, slope, _ = np.polyfit(beside, [errors(grid[best] + off, every).nees.mean() for off in beside], 2)
-    if half_bend <= 0.0:
-        return Offset(float(grid[best]), math.inf)
-    offset_s = float(grid[best] - 0.5 * slope / half_bend)
-    least = errors(offset_s, every)
-    worth = consistency([(least.error, least.cov)])
-    return Offset(offset_s, math.sqrt(1.0 / (worth.samples * half_bend)))
+    grid = np.linspace(-limit_s, limit_s, _OFFSETS)
+    offset_s = float(grid[np.argmin([errors(offset).nees.mean() for offset in grid])])
+    for _ in range(_OFFSET_STEPS):
+        least = errors(offset_s)
+        later, earlier = errors(offset_s + _SHORT_S), errors(offset_s - _SHORT_S)
+        rate = (later.error - earlier.error) / (2.0 * _SHORT_S)
+        weighted = np.linalg.solve(least.cov, rate[:, :, None])[:, :, 0]
+        power = float(np.sum(weighted * rate)) / len(rate)
+        offset_s -= float(np.sum(weighted * least.error)) / len(rate) / max(power, 1e-12)
+        if abs(offset_s) >= limit_s - _SHORT_S:
+            found = f"found the least NEES at the limit of {limit_s:g} s"
+            raise InputError("time_offset", found, "a larger limit, or a robot that moves")
+    samples = consistency([(least.error, least.cov)]).samples
+    return Offset(offset_s, 1.0 / math.sqrt(max(samples * power, 1e-12)))
 
 
 def check_is_not_the_truth(pair: Pair) -> None:
     """Raise InputError for an estimate without errors: somebody has given the same poses twice."""
     n = pair.truth.positions.shape[1]
-    if np.abs(_errors(pair, (np.eye(n), np.zeros(n)), "world").error).max() <= _SAME:
+    if np.abs(errors_of(pair, (np.eye(n), np.zeros(n)), "world").error).max() <= _SAME:
         raise InputError("truth", f"found the poses of the estimate, {pair.estimate.name}", "the true ones")
 
 
-def _fitted(pair: Pair, frame: Frame, steps: int = 20) -> Motion:
-    """The motion with the least sum of NEES, by Gauss-Newton from the first pose."""
-    turn, shift = _first(pair)
-    n = len(shift)
-    for _ in range(steps):
-        found = _errors(pair, (turn, shift), frame)
-        places = pair.estimate.positions @ turn.T + shift
-        centre = places.mean(axis=0)
-        carry = rotations.levers(places - centre)
-        weighted = np.linalg.solve(found.cov, np.concatenate([carry, found.error[:, :, None]], axis=2))
-        sums = np.einsum("kij,kil->jl", carry, weighted)
-        step = -np.linalg.solve(sums[:, :-1], sums[:, -1])
-        by = rotations.exp(step[None, n:])[0]
-        turn, shift = by @ turn, by @ (shift - centre) + centre + step[:n]
-        if step @ sums[:, :-1] @ step < 1e-8:  # squared, in sigmas of the alignment
-            break
-    return turn, shift
+def errors_of(pair: Pair, motion: Motion, frame: Frame) -> Errors:
+    """The errors of the estimate after a motion, with its covariances read in the axes of `frame`.
 
-
-def _first(pair: Pair) -> Motion:
-    turn = pair.truth.orientations[0] @ pair.estimate.orientations[0].T
-    return turn, pair.truth.positions[0] - turn @ pair.estimate.positions[0]
-
-
-def _errors(pair: Pair, motion: Motion, frame: Frame) -> Errors:
-    """Errors in the axes of the truth's world: the rotation's is the vector of R_estimate R_truth^T."""
+    They are in the axes of the truth's world: the rotation's is the vector of R_estimate R_truth^T.
+    """
     turn, shift = motion
     estimate, covs = pair.estimate, pair.estimate.covs
     assert covs is not None

@@ -32,11 +32,8 @@ if TYPE_CHECKING:
 
 _ALIGNED = {
     "none": "none: both are in one frame",
-    "first": "by the first pose, whose covariance is carried to the others",
     "all": "by all poses",
 }
-_MOST_POINTS = 4000  # of a curve; more are not to be seen
-_SURE = 0.6  # share of the variance of the mean from which on the first pose alone forbids a verdict
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -78,10 +75,7 @@ class Audit:
         """The answer in one sentence."""
         if self.pair is not None:
             return _of_pair(self.findings, self.pair, self.names)
-        found = self.findings
-        if found.outcome == "too short to tell" and found.shared * found.pose.samples > _SURE:
-            return f"{found.pose}; all depend on the first pose: align by all poses"
-        return f"{found.pose}{_where(found)}"
+        return f"{self.findings.pose}{_where(self.findings)}"
 
     @property
     def summary(self) -> dict[str, str]:
@@ -171,14 +165,13 @@ class Audit:
         names, run = AXES[self.axes_of, self.findings.pose.dof], self.runs[0]
         picture = new_figure(11.0, 2.2 + 1.65 * len(names))
         grid = picture.add_gridspec(2 * len(names), 2, width_ratios=(1.25, 1.0))
-        rows = _some(len(run.stamps_ns))
-        times, (error, cov) = _seconds(run)[rows], run.in_axes(self.axes_of)
+        error, cov = run.in_axes(self.axes_of)
         tubes: list[Any] = []
         for k, name in enumerate(names):
             ax = picture.add_subplot(grid[2 * k : 2 * k + 2, 0], sharex=tubes[0] if tubes else None)
             scale, unit = (1.0, "m") if k < run.orientations.shape[1] else (float(np.degrees(1.0)), "°")
-            bound = 3.0 * scale * np.sqrt(cov[rows, k, k])
-            draw_tube(ax, times, scale * error[rows, k], bound, "stated ±3σ", color=ESTIMATE, label="error")  # noqa: RUF001
+            bound = 3.0 * scale * np.sqrt(cov[:, k, k])
+            draw_tube(ax, _seconds(run), scale * error[:, k], bound, "stated ±3σ", color=ESTIMATE, label="error")  # noqa: RUF001
             ax.set_ylabel(f"{name} [{unit}]")
             ax.tick_params(labelbottom=k == len(names) - 1)
             tubes.append(ax)
@@ -186,8 +179,7 @@ class Audit:
         legend_above(tubes[0])
         ax = picture.add_subplot(grid[: len(names), 1])
         for k, one in enumerate(self.runs):
-            rows = _some(len(one.stamps_ns))
-            draw_nees(ax, _seconds(one)[rows], one.nees[rows], self.findings.pose, style=style_of(k))
+            draw_nees(ax, _seconds(one), one.nees, self.findings.pose, style=style_of(k))
         scale_nees(ax, [one.nees for one in self.runs], [self.findings.pose])
         legend_above(ax)
         _draw_quantiles(picture.add_subplot(grid[len(names) :, 1]), self.runs, self.findings.pose)
@@ -228,19 +220,14 @@ def _of_pair(found: Findings, pair: PairFindings, names: tuple[str, str]) -> str
 
 
 def _where(found: Findings) -> str:
-    """The axes on which the errors are farther from the stated sigmas than on the others."""
-    if found.outcome not in ("overconfident", "cautious"):
-        alone = found.deviating() if found.outcome == "consistent" else []
+    """The axes that are off as the pose is, mostly those beyond the typical one; of a consistent pose those off."""
+    if found.outcome == "consistent":
+        alone = found.deviating()
         return f"; yet not in {_listed(alone)}" if alone else ""
-    sign = 1.0 if found.outcome == "overconfident" else -1.0
+    some = [name for name, one in found.axes.items() if one.outcome == found.outcome != "too short to tell"]
     typical = math.exp(sum(math.log(max(one.factor, 1e-300)) for one in found.axes.values()) / len(found.axes))
-
-    def beyond(value: float) -> list[str]:
-        side = 0 if sign > 0.0 else 1
-        return [name for name, one in found.axes.items() if sign * (one.interval[side] - value) > 0.0]
-
-    some = beyond(1.0)
-    if most := [name for name in some if name in beyond(typical)]:
+    is_more = 1.0 if found.outcome == "overconfident" else -1.0
+    if most := [name for name in some if min(is_more * (end - typical) for end in found.axes[name].interval) > 0.0]:
         return f", mostly in {_listed(most)}"
     return "" if not some else ", on all axes" if len(some) == len(found.axes) else f", in {_listed(some)}"
 
@@ -261,20 +248,16 @@ def _listed(names: list[str]) -> str:
 def _draw_quantiles(ax: Any, runs: Sequence[Errors], found: Consistency) -> None:
     """Draw the quantiles of the NEES against those of chi-square: consistent errors lie on the diagonal."""
     nees = np.sort(np.concatenate([run.nees for run in runs]))
-    rows, end = _some(len(nees)), float(chi_square_quantile(0.999, found.dof))
-    expected = chi_square_quantile(((np.arange(len(nees)) + 0.5) / len(nees))[rows], found.dof)
-    ax.plot(expected, nees[rows], color=ESTIMATE, linewidth=1.4, label="poses")
+    end = float(chi_square_quantile(0.999, found.dof))
+    shares: Any = (np.arange(len(nees)) + 0.5) / len(nees)
+    expected = chi_square_quantile(shares, found.dof)
+    ax.plot(expected, nees, color=ESTIMATE, linewidth=1.4, label="poses")
     ax.plot([0.0, end], [0.0, end], color=TRUTH, linewidth=0.8, linestyle="--", label="consistent")
     label = f"covariance times {found.factor:.2f}"
     ax.plot([0.0, end], [0.0, found.factor * end], color=CYCLE[1], linewidth=0.9, label=label)
     ax.set(xlim=(0.0, end), ylim=(0.0, 1.15 * end * max(1.0, found.factor)))
     ax.set(xlabel=f"quantile of chi-square with {found.dof} degrees of freedom [1]", ylabel="quantile of NEES [1]")
     ax.legend(frameon=False, loc="upper left", fontsize="small")
-
-
-def _some(count: int) -> Any:
-    """Indices of the points of a curve, from the first to the last."""
-    return np.unique(np.linspace(0, count - 1, _MOST_POINTS).astype(np.int64))
 
 
 def _seconds(run: Errors) -> Any:

@@ -57,12 +57,7 @@ def levers(arms: Array) -> Array:
     """(N, d, d) matrices that carry a pose's error to the end of (N, n) `arms`, a turn moves the end by turn x arm."""
     n = arms.shape[1]
     size = 3 if n == 2 else 6
-    out = np.broadcast_to(np.eye(size), (len(arms), size, size)).copy()
-    if n == 2:
-        out[:, 0, 2], out[:, 1, 2] = -arms[:, 1], arms[:, 0]
-        return out
-    x, y, z = arms.T
-    out[:, 0, 4], out[:, 0, 5] = z, -y
-    out[:, 1, 3], out[:, 1, 5] = -z, x
-    out[:, 2, 3], out[:, 2, 4] = y, -x
+    out = np.tile(np.eye(size), (len(arms), 1, 1))
+    moved = np.cross(np.eye(3), np.pad(arms, ((0, 0), (0, 3 - n)))[:, None])  # (N, axis of the turn, 3)
+    out[:, :n, n:] = moved[:, n - size :, :n].transpose(0, 2, 1)
     return out

@@ -63,8 +63,6 @@ class Findings:
     """mean NEES in equal parts of the time; NaN for a part without poses"""
     removed: float
     """share of the NEES that the alignment has taken"""
-    shared: float
-    """share of the variance of the mean that the first pose has"""
     scores: dict[str, Score]
     """coverage and log score of `pose`, `position` and `rotation`"""
 
@@ -80,13 +78,10 @@ class Findings:
 
     def deviating(self) -> list[str]:
         """The axes beyond what chance explains, each with a chance of 5 % over their number."""
-        found = []
-        for name, one in self.axes.items():
-            # Three normal sigmas stand for 5 % over at most six axes.
-            low, high = replace(one, samples=max(1.0, one.samples * (1.96 / 2.64) ** 2)).interval
-            if one.samples >= LEAST_SAMPLES and not low <= 1.0 <= high:
-                found.append(name)
-        return found
+        # Three normal sigmas stand for 5 % over at most six axes.
+        wide = {name: replace(one, samples=one.samples * (1.96 / 2.64) ** 2) for name, one in self.axes.items()}
+        known = [name for name, one in self.axes.items() if one.samples >= LEAST_SAMPLES]
+        return [name for name in known if not wide[name].interval[0] <= 1.0 <= wide[name].interval[1]]
 
 
 def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
@@ -97,11 +92,10 @@ def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
     if align == "all":  # as of a mean that is estimated
         numbers = np.array([effective_samples_of_errors([one])[1] for one in whitened])
         removed = min(0.5, float(np.sum(lengths / numbers) / lengths.sum()))
-    shared = float(np.sum((lengths / lengths.sum()) ** 2 * [run.shared for run in runs]))
 
     def judged(parts: Sequence[tuple[Array, Array]]) -> Consistency:
         found = consistency(parts)
-        return replace(found, nees=found.nees / (1.0 - removed), samples=1.0 / (1.0 / found.samples + shared))
+        return replace(found, nees=found.nees / (1.0 - removed))
 
     pose = judged([(run.error, run.cov) for run in runs])
     turned = [run.in_axes(frame) for run in runs]
@@ -112,7 +106,7 @@ def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
     }
     parts = {"pose": slice(0, pose.dof), "position": slice(0, n), "rotation": slice(n, pose.dof)}
     scores = {name: _score([(run.error[:, p], run.cov[:, p, p]) for run in runs]) for name, p in parts.items()}
-    return Findings(int(lengths.sum()), pose, axes, _over_time(runs), removed, shared, scores)
+    return Findings(int(lengths.sum()), pose, axes, _over_time(runs), removed, scores)
 
 
 def _score(runs: Sequence[tuple[Array, Array]]) -> Score:
@@ -129,9 +123,9 @@ def _over_time(runs: Sequence[Errors]) -> tuple[float, ...]:
     sums, counts = np.zeros(_PARTS), np.zeros(_PARTS)
     for run in runs:
         since = (run.stamps_ns - run.stamps_ns[0]).astype(np.float64)
-        part = np.minimum((_PARTS * since / max(since[-1], 1.0)).astype(np.int64), _PARTS - 1)
-        sums += np.bincount(part, run.nees, _PARTS)
-        counts += np.bincount(part, minlength=_PARTS)
+        span = (0.0, max(since[-1], 1.0))
+        sums += np.histogram(since, _PARTS, span, weights=run.nees)[0]
+        counts += np.histogram(since, _PARTS, span)[0]
     return tuple((sums / np.where(counts > 0.0, counts, np.nan)).tolist())
 
 

@@ -45,9 +45,8 @@ class Audit(Options):
     """Whose axes the covariances have; by default the world's, as ROS has it."""
     order: Literal["translation", "rotation"] = "translation"
     """Which comes first in a covariance."""
-    align: Literal["none", "first", "all"] | None = None
-    """none, the default without --pair. first: the first pose becomes the true one, and its covariance counts. all: by
-    all poses, the degrees of freedom are taken off."""
+    align: Literal["none", "all"] | None = None
+    """none, the default without --pair. all: by all poses, the degrees of freedom are taken off."""
     time_offset: Annotated[float | None, Field(gt=0.0), Arg("[S]", without=1.0)] = None
     """Search an offset of the stamps up to S seconds (1)."""
     same_start: bool = False

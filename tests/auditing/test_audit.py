@@ -69,14 +69,3 @@ def test_the_degrees_of_freedom_of_an_alignment_are_taken_off():
     plain = float(np.mean(np.concatenate([run.nees for run in found.runs])))
     assert plain == pytest.approx(3.0 * (1.0 - 1.0 / 40), abs=0.05)
     assert found.findings.pose.nees == pytest.approx(plain / (1.0 - found.findings.removed)) != plain
-
-
-def test_an_alignment_by_the_first_pose_adds_its_covariance_and_it_is_one_sample():
-    """Over many runs the NEES has the mean 3; of one run alone there is no verdict, since all poses share one error."""
-    assert of_short_runs("first", 50, 200).findings.pose.nees == pytest.approx(3.0, abs=0.25)
-    alone = audited(TRUTH + drawn(), align="first")
-    assert alone.outcome == "too short to tell" and "first pose" in alone.verdict
-    exact = np.concatenate([stated(1e-6 * COV, 1), stated(COV, N - 1)])
-    error = drawn(seed=8)
-    error[0] = 0.0
-    assert audited(TRUTH + error, exact, align="first").outcome == "consistent"

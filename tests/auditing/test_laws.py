@@ -81,12 +81,6 @@ def squared(error, cov):
     return float(error @ np.linalg.inv(cov) @ error)
 
 
-def moved(error, pose):
-    """The pose with an error: a shift, and a turn about the pose itself, in the axes of the world."""
-    n = len(pose) - 1
-    return motion(exp(error[n:]) @ pose[:n, :n], pose[:n, n] + error[:n])
-
-
 @few
 @given(SEEDS, SPACES, FRAMES)
 def test_errors_covariances_and_ratios_are_those_of_matrices_in_either_frame(seed, n, frame):
@@ -119,34 +113,9 @@ def test_the_nees_does_not_depend_on_the_frame_of_the_world(seed, n, frame):
     turn = axes(by[:n, :n])
     covs = turn @ one.covs @ turn.T if frame == "world" else one.covs
     other = Drawn(one.stamps, by @ one.truth, by @ one.estimate, covs)
-    for align in ("none", "first", "all"):
+    for align in ("none", "all"):
         expected = one.audit(frame=frame, align=align).runs[0].nees
         np.testing.assert_allclose(other.audit(frame=frame, align=align).runs[0].nees, expected, rtol=1e-4)
-
-
-@few
-@given(SEEDS, SPACES, FRAMES)
-def test_an_alignment_by_the_first_pose_carries_its_error_along_the_lever(seed, n, frame):
-    """The lever by differences: an error of the first pose moves all others with it."""
-    one, dof = drawn(seed, n), 3 if n == 2 else 6
-    onto = one.truth[0] @ np.linalg.inv(one.estimate[0])
-    placed = np.array([onto @ estimate for estimate in one.estimate])
-    turns = [axes(pose[:n, :n] if frame == "body" else onto[:n, :n]) for pose in placed]
-    covs = [turn @ cov @ turn.T for turn, cov in zip(turns, one.covs, strict=True)]
-    run = one.audit(frame=frame, align="first").runs[0]
-    weights = []
-    for k in range(1, N):
-        lever = np.empty((dof, dof))
-        for i, step in enumerate(1e-6 * np.eye(dof)):
-            after, before = (
-                moved(sign * step, one.truth[0]) @ np.linalg.inv(one.truth[0]) @ one.truth[k] for sign in (1, -1)
-            )
-            lever[:, i] = (error(after, one.truth[k]) - error(before, one.truth[k])) / 2e-6
-        cov = covs[k] + lever @ covs[0] @ lever.T
-        assert run.nees[k - 1] == pytest.approx(squared(error(placed[k], one.truth[k]), cov), rel=1e-5)
-        weights.append(lever.T @ np.linalg.inv(cov) @ lever)
-    weight = np.mean(weights, axis=0) @ covs[0]
-    assert run.shared == pytest.approx(np.trace(weight @ weight) / dof, rel=1e-5)
 
 
 @few

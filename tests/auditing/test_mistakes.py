@@ -151,10 +151,6 @@ def another(_, t):
     return np.column_stack([4.0 * np.cos(0.17 * t), 5.0 * np.sin(0.07 * t), 1.3 * np.cos(0.19 * t) - 0.05 * t])
 
 
-def carried(way, t):
-    return np.where(t[:, None] < 97.0, way, moved(way, t))
-
-
 @pytest.mark.parametrize(("estimate", "truth", "stamps_s", "said"), [
     (same, another, None, "estimate and truth may not be of one drive, or have other clocks: their turns correlate by"),
     (same, moved, None, "the frames differ: aligned by all poses (`align` all) the ATE falls from"),
@@ -162,7 +158,6 @@ def carried(way, t):
     (same, lambda way, _: way + np.array([0.0, 0.0, 0.5 * np.pi]), None, "headings differ by -90° all along"),
     (same, same, lambda t: t + 0.5, "stamps of the estimate are about 0.5 s early, by the errors of headings"),
     (same, same, lambda t: t - 0.5, "stamps of the estimate are about 0.5 s late, by the errors of headings"),
-    (carried, same, None, "at 97.00 s the estimate jumps by"),
 ])  # fmt: skip
 def test_errors_that_are_no_estimators_are_told_by_what_they_look_like(estimate, truth, stamps_s, said):
     notes = shown_by(estimate, truth, stamps_s)
