@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import MOST_RANGE_M
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | str, ...], finite: bool = True) -> Array:
@@ -32,21 +30,6 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | str, ...], finite: 
         at = tuple(int(row[0]) for row in np.nonzero(~np.isfinite(array)))
         raise ValueError(f"{name}: expected finite numbers, got {array[at]} at {list(at)}")
     return array
-
-
-def as_ranges(name: str, value: ArrayLike, laser: LaserConfig) -> Array:
-    """`value` as the ranges (beams,) of a scan, metres; inf and NaN are no returns.
-
-    Raises ValueError for another shape, for NaN alone, and for a median that no laser and not this one reaches.
-    """
-    ranges = as_array(name, value, (laser.beams,), finite=False)
-    if np.isnan(ranges).all():
-        raise ValueError(f"{name}: expected metres, inf where nothing was met, got NaN alone")
-    returns = ranges[np.isfinite(ranges) & (ranges > 0.0)]
-    returns = returns[returns < returns.max(initial=0.0)]  # the largest may be a code for no return
-    if len(returns) and (median := float(np.median(returns))) > max(MOST_RANGE_M, laser.max_range):
-        raise ValueError(f"{name}: expected metres, got a median of {median:.5g}: millimetres or centimetres")
-    return ranges
 
 
 def _text(shape: tuple[int | str, ...]) -> str:

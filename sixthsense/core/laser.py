@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.returns import Bearings, bearings_of, by_bearing, normals_of
 
 MOST_RANGE_M = 100.0
 """Lasers with two dimensions reach 10 to 80 m, the largest 250 m, and see most walls well below."""
@@ -34,7 +35,7 @@ class Sweep:
 class Scan:
     """One turn of the laser; ranges and angles are float32, so that a recorded scan is replayed exactly.
 
-    Its returns as points are computed once, when they are first read.
+    Its returns are computed once, when they are first read: as points, one for each beam, and by bearing, with normals.
     """
 
     ranges: NDArray[np.float32]
@@ -110,6 +111,21 @@ class Scan:
     def returns_robot(self) -> Array:
         """(K, 2) metres in the robot's frame: the points of the beams with a return."""
         return _read_only(self.points_robot[self.is_return])
+
+    @functools.cached_property
+    def cells(self) -> Bearings:
+        """The cells of its beams, which are of equal angle where the beams of a sweep are not."""
+        return bearings_of(float(self.angle_min), float(self.angle_increment), len(self.ranges), self.closed)
+
+    @functools.cached_property
+    def by_bearing(self) -> NDArray[np.float32]:
+        """(cells, 3) x, y and range of the return in each cell, metres, laser's frame; see `returns.by_bearing`."""
+        return by_bearing(self.ranges, self.bearings, self.cells, float(self.max_range))
+
+    @functools.cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """(cells, 3) normal of the surface there, towards the laser, and its angle's variance, rad^2; or 0."""
+        return normals_of(self.by_bearing, self.cells)
 
 
 def _read_only(array: Array) -> Array:

@@ -107,14 +107,6 @@ def conjugate(T_a_b: Triple, motion: Triple) -> Triple:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def put(out: Array, k: int, values: Array) -> None:
-    """Write a matrix (3, 3) into `out` (m, 3, 3) as the k-th."""
-    for i in range(3):
-        for j in range(3):
-            out[k, i, j] = values[i, j]
-
-
-@numba.njit(cache=True, error_model="numpy")
 def added(a: Array, b: Array) -> Array:
     """(3, 3) sum of matrices."""
     out = np.empty((3, 3))
@@ -188,15 +180,6 @@ def whitening(cov: Array) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def whitenings(covs: Array) -> Array:
-    """(m, 3, 3) `whitening` of covariances (m, 3, 3)."""
-    out = np.empty((len(covs), 3, 3))
-    for k in range(len(covs)):
-        put(out, k, whitening(covs[k]))
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
 def inverse_covariance(cov: Array) -> Array:
     """(3, 3) inverse of a covariance, or of an information, positive definite; ValueError for any other."""
     w, out = whitening(cov), np.empty((3, 3))
@@ -206,66 +189,4 @@ def inverse_covariance(cov: Array) -> Array:
             for k in range(j, 3):
                 total += w[k, i] * w[k, j]
             out[i, j] = out[j, i] = total
-    return out
-
-
-_MOST_SWEEPS = 12  # of rotations: five are enough for any matrix that was seen, since convergence is quadratic
-
-
-@numba.njit(cache=True, error_model="numpy")
-def eigen(matrix: Array) -> tuple[Array, Array]:
-    """Ascending eigenvalues (3,) of a symmetric matrix (3, 3), and its eigenvectors (3, 3), in columns.
-
-    By Jacobi's rotations (Golub and Van Loan, "Matrix Computations", 8.5): the roots of the cubic lose half of the
-    digits where two eigenvalues are alike, and small ones beside large ones.
-    """
-    a, axes = matrix.copy(), np.eye(3)
-    for _ in range(_MOST_SWEEPS):
-        if a[0, 1] == 0.0 and a[0, 2] == 0.0 and a[1, 2] == 0.0:
-            break
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            _rotate(a, axes, p, q)
-    values = np.array((a[0, 0], a[1, 1], a[2, 2]))
-    for p, q in ((0, 1), (1, 2), (0, 1)):
-        if values[p] > values[q]:
-            values[p], values[q] = values[q], values[p]
-            for k in range(3):
-                axes[k, p], axes[k, q] = axes[k, q], axes[k, p]
-    return values, axes
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _rotate(a: Array, axes: Array, p: int, q: int) -> None:
-    """Make entry p, q of a symmetric matrix zero by a rotation, which is applied to `axes`, too."""
-    off = a[p, q]
-    if abs(a[p, p]) + off == abs(a[p, p]) and abs(a[q, q]) + off == abs(a[q, q]):
-        a[p, q] = a[q, p] = 0.0  # it is below the rounding of both
-        return
-    half = 0.5 * (a[q, q] - a[p, p]) / off
-    t = math.copysign(1.0, half) / (abs(half) + math.hypot(half, 1.0))
-    c = 1.0 / math.hypot(t, 1.0)
-    s = t * c
-    a[p, p] -= t * off
-    a[q, q] += t * off
-    a[p, q] = a[q, p] = 0.0
-    r = 3 - p - q
-    rp, rq = a[r, p], a[r, q]
-    a[r, p] = a[p, r] = c * rp - s * rq
-    a[r, q] = a[q, r] = s * rp + c * rq
-    for k in range(3):
-        kp, kq = axes[k, p], axes[k, q]
-        axes[k, p], axes[k, q] = c * kp - s * kq, s * kp + c * kq
-
-
-@numba.njit(cache=True, error_model="numpy")
-def in_axes(values: Array, axes: Array) -> Array:
-    """(3, 3) symmetric, of these eigenvalues (3,) and axes (3, 3), in columns."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] = out[j, i] = (
-                values[0] * axes[i, 0] * axes[j, 0]
-                + values[1] * axes[i, 1] * axes[j, 1]
-                + values[2] * axes[i, 2] * axes[j, 2]
-            )
     return out

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
@@ -50,7 +49,7 @@ class GuardLimits(NamedTuple):
     """speed at which it passes narrow places, m/s"""
 
 
-class Returns(NamedTuple):
+class Obstacles(NamedTuple):
     """What the guard knows of the surroundings: returns in the robot's frame at the latest scan, metres."""
 
     points: Array
@@ -132,20 +131,6 @@ def _limits(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _return_points(ranges: NDArray[np.float32], bearings: Array, max_range: float, laser: Triple) -> Array:
-    """(K, 2) the returns nearer than `max_range`, in the frame in which the laser stands at a pose."""
-    mx, my, mtheta = laser
-    points = np.empty((len(ranges), 2))
-    k = 0
-    for i in range(len(ranges)):
-        if 0.0 < ranges[i] < max_range:
-            points[k, 0] = mx + ranges[i] * math.cos(bearings[i] + mtheta)
-            points[k, 1] = my + ranges[i] * math.sin(bearings[i] + mtheta)
-            k += 1
-    return points[:k]
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _speed_within(distance_m: float, limits: GuardLimits) -> float:
     """The speed whose stopping distance is `distance_m`, m/s."""
     if not 0.0 < distance_m < math.inf:
@@ -159,7 +144,7 @@ def checked(
     command: tuple[float, float],
     since: Triple,
     at: Triple,
-    returns: Returns,
+    obstacles: Obstacles,
     waits_for_moving: bool,
     limits: GuardLimits,
 ) -> tuple[float, float, bool, bool]:
@@ -175,13 +160,13 @@ def checked(
     x, y, theta = since
     speed = abs(v)
     reach = stopping_distance(speed, limits.latency_s, limits.deceleration)
-    contact, gap = _limits(returns.points, x, y, theta, v, w, limits.radius_m, reach)
+    contact, gap = _limits(obstacles.points, x, y, theta, v, w, limits.radius_m, reach)
     x, y, theta = at
-    contact = min(contact, _limits(returns.earlier, x, y, theta, v, w, limits.radius_to_earlier_m, reach)[0])
+    contact = min(contact, _limits(obstacles.earlier, x, y, theta, v, w, limits.radius_to_earlier_m, reach)[0])
     x, y, theta = since
     waits_for_moving = False
-    if len(returns.moving):
-        to_body, body_gap = _limits(returns.moving, x, y, theta, v, w, limits.radius_to_bodies_m, reach)
+    if len(obstacles.moving):
+        to_body, body_gap = _limits(obstacles.moving, x, y, theta, v, w, limits.radius_to_bodies_m, reach)
         waits_for_moving = to_body < contact
         contact, gap = min(contact, to_body), min(gap, body_gap)
     creep = min(limits.creep, speed)
@@ -214,7 +199,7 @@ class Guard:
         )
         """what it allows"""
         self._scan: Scan | None = None  # the latest one, until its returns are needed
-        self._returns = Returns(_NOTHING, _NOTHING, _NOTHING)
+        self._obstacles = Obstacles(_NOTHING, _NOTHING, _NOTHING)
         self._since = self._at = Pose()
         period_s, speed = config.laser.period_ticks * config.robot.control_period_s, float(config.robot.speed)
         count = math.ceil(REMEMBERED_S / period_s)
@@ -234,11 +219,11 @@ class Guard:
     def see(self, scan: Scan, moving_robot: Array = _NOTHING) -> None:
         """Take in a scan from the robot's present pose, and those of its returns (M, 2), robot's frame, that move."""
         self._scan, self._since = scan, Pose()
-        if len(self._returns.moving):
+        if len(self._obstacles.moving):
             self._before.clear()  # what moves was elsewhere
             self._waiting.clear()
         self._waiting.append((scan, self._at))
-        self._returns = Returns(_NOTHING, np.ascontiguousarray(moving_robot), _NOTHING)
+        self._obstacles = Obstacles(_NOTHING, np.ascontiguousarray(moving_robot), _NOTHING)
 
     @property
     def stopped(self) -> bool:
@@ -262,21 +247,21 @@ class Guard:
             (float(command.speed), float(command.turn_rate)),
             self._since.triple(),
             self._at.triple(),
-            self.returns(),
+            self.obstacles(),
             self.waits_for_moving,
             self.limits,
         )
         self.stops += self._stopped and not before
         return Command(speed, turn_rate)
 
-    def returns(self) -> Returns:
+    def obstacles(self) -> Obstacles:
         """The returns of the latest scan and of those before."""
         if self._scan is not None:
             scan, self._scan = self._scan, None
-            points = _return_points(scan.ranges, scan.bearings, scan.max_range, scan.T_robot_laser.triple())
             while len(self._waiting) > 1:
                 before, at = self._waiting.popleft()
-                near_m, laser = min(before.max_range, self._near_m), (at @ before.T_robot_laser).triple()
-                self._before.append(_return_points(before.ranges, before.bearings, near_m, laser))
-            self._returns = Returns(points, self._returns.moving, np.concatenate([_NOTHING, *self._before]))
-        return self._returns
+                self._before.append(at @ before.returns_robot[before.ranges[before.is_return] < self._near_m])
+            self._obstacles = Obstacles(
+                scan.returns_robot.copy(), self._obstacles.moving, np.concatenate([_NOTHING, *self._before])
+            )
+        return self._obstacles

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
+from sixthsense.core.returns import NO_BEAM, Bearings, cell_of
 
 _BETWEEN_NS, _KEPT = 500_000_000, 60
 """time between two scans that are compared with, and how many: someone who has stood for longer is as good as a wall"""
@@ -45,22 +46,21 @@ NOTHING_MOVES = Moving(np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 class View(NamedTuple):
-    """What an earlier scan saw."""
+    """What an earlier scan saw, from where."""
 
     stamp_ns: int
     pose: Array
     """(3,) `T_world_laser`"""
-    first: float
-    """bearing of the first cell, radians"""
+    cells: Bearings
     ranges: Array
-    """(C,) nearest return of each cell, metres, in a full circle of them; inf: none, NaN: no beam, or no evidence"""
+    """(cells,) of its returns by bearing, metres; inf where nothing was met, and `NO_BEAM` for no evidence"""
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _count_seen_through(
     points: Array,
     pose: Array,
-    first: float,
+    cells: Bearings,
     ranges: Array,
     limits: tuple[float, float, float],
     counts: NDArray[np.int64],
@@ -70,20 +70,19 @@ def _count_seen_through(
     `limits` are how far beyond it must have seen, and the tolerances across the beam, m, and of its direction, rad.
     """
     beyond_m, tolerance_m, tolerance_rad = limits
-    cells = len(ranges)
-    step = 2.0 * np.pi / cells
     for i in range(len(points)):
         if counts[i] >= _LEAST_SCANS:
             continue  # that is enough
         dx, dy = points[i, 0] - pose[0], points[i, 1] - pose[1]
         distance = np.hypot(dx, dy)
-        if not distance > 2.0 * tolerance_m:  # also NaN
+        if not 2.0 * tolerance_m < distance < np.inf:  # also NaN
             continue
-        middle = int(np.floor((np.arctan2(dy, dx) - pose[2] - first) / step + 0.5))
-        reach = 1 + int((tolerance_m / distance + tolerance_rad) / step)
+        middle = int(np.floor(cell_of(cells, np.arctan2(dy, dx) - pose[2]) + 0.5))
+        reach = 1 + int((tolerance_m / distance + tolerance_rad) / cells.spacing)
         through = True
         for k in range(middle - reach, middle + reach + 1):
-            if not ranges[k % cells] > distance + beyond_m:
+            is_seen = cells.closed or 0 <= k < cells.beams
+            if not is_seen or not ranges[k % cells.beams] > distance + beyond_m:
                 through = False
                 break
         counts[i] += through
@@ -94,7 +93,7 @@ class MovingReturns:
 
     def __init__(self, no_return_passes: bool) -> None:
         """Begin without a scan; `no_return_passes` is whether a beam without a return saw up to its maximum."""
-        self._no_return = np.inf if no_return_passes else np.nan
+        self._no_return = np.inf if no_return_passes else NO_BEAM
         self._views: deque[View] = deque(maxlen=_KEPT)
 
     def split(self, scan: Scan, T_world_robot: Pose, stamp_ns: int) -> tuple[Scan, Moving]:
@@ -108,7 +107,7 @@ class MovingReturns:
             if is_recent and stamp_ns - view.stamp_ns > _STANDS_NS:
                 recent, is_recent = counts > 0, False
             _count_seen_through(
-                points, view.pose, view.first, view.ranges, (_BEYOND_M, _TOLERANCE_M, _TOLERANCE_RAD), counts
+                points, view.pose, view.cells, view.ranges, (_BEYOND_M, _TOLERANCE_M, _TOLERANCE_RAD), counts
             )
         moving = scan.is_return & (counts >= _LEAST_SCANS)
         count = np.count_nonzero(moving)
@@ -126,15 +125,6 @@ class MovingReturns:
         if math.hypot(correction.x, correction.y) + _LEVER_M * abs(correction.theta) > _BEYOND_M:
             self._views.clear()
         if not self._views or stamp_ns - self._views[-1].stamp_ns >= _BETWEEN_NS:
-            self._views.append(self._view(scan, T_world_robot @ scan.T_robot_laser, stamp_ns))
-
-    def _view(self, scan: Scan, T_world_laser: Pose, stamp_ns: int) -> View:
-        step = abs(float(scan.angle_increment))
-        cells = max(round(2.0 * np.pi / step), 1)
-        at = np.round((scan.bearings - float(scan.angle_min)) / step).astype(np.int64) % cells
-        seen = np.where(scan.ranges < scan.max_range, scan.ranges, self._no_return).astype(np.float64)
-        seen[~(scan.ranges > 0.0)] = np.nan
-        ranges = np.full(cells, np.inf)
-        np.minimum.at(ranges, at, seen)  # NaN is passed on
-        ranges[np.setdiff1d(np.arange(cells), at)] = np.nan
-        return View(stamp_ns, T_world_laser.array(), float(scan.angle_min), ranges)
+            ranges = scan.by_bearing[:, 2].astype(np.float64)
+            ranges[ranges == 0.0] = self._no_return
+            self._views.append(View(stamp_ns, (T_world_robot @ scan.T_robot_laser).array(), scan.cells, ranges))

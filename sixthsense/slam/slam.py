@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from sixthsense.config import Config
+from sixthsense.config import Config, LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS, STATES_RELATIVE
 from sixthsense.config.section import shown
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import check_returned, part_of
-from sixthsense.core.arguments import as_pose, as_ranges
+from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan
+from sixthsense.core.laser import MOST_RANGE_M, Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
@@ -160,7 +160,7 @@ class Slam:
         centimetres, for a pose that is not finite and for a stamp that does not ascend.
         """
         laser = self.config.laser
-        values = as_ranges("ranges", ranges, laser)
+        values = _as_ranges(ranges, laser)
         return self.take(Tick(stamp_ns, as_pose("odometry", odometry), Scan.from_config(values, laser)))
 
     def odometry(self, stamp_ns: int, odometry: Pose) -> Step:
@@ -313,3 +313,18 @@ class Slam:
         self._mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
         if self._draws_map:
             self._mapper.draw()
+
+
+def _as_ranges(value: ArrayLike, laser: LaserConfig) -> Array:
+    """The ranges (beams,) of a scan, metres; inf and NaN are no returns.
+
+    Raises ValueError for another shape, for NaN alone, and for a median that no laser and not this one reaches.
+    """
+    ranges = as_array("ranges", value, (laser.beams,), finite=False)
+    if np.isnan(ranges).all():
+        raise ValueError("ranges: expected metres, inf where nothing was met, got NaN alone")
+    returns = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    returns = returns[returns < returns.max(initial=0.0)]  # the largest may be a code for no return
+    if len(returns) and (median := float(np.median(returns))) > max(MOST_RANGE_M, laser.max_range):
+        raise ValueError(f"ranges: expected metres, got a median of {median:.5g}: millimetres or centimetres")
+    return ranges

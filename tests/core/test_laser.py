@@ -1,12 +1,14 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.laser import Scan, Sweep, beam_bearings
 from sixthsense.core.ray_casting import cast_rays, hit_walls
+from sixthsense.core.returns import NO_BEAM
 
 
 def reference(pose, bearings, walls, max_range):
@@ -87,3 +89,15 @@ def test_a_full_circle_is_closed_and_repeats_no_beam():
     assert beam_bearings(half)[[0, -1]] == pytest.approx([-math.pi / 2, math.pi / 2])
     report = preset("report").laser
     assert math.degrees(beam_bearings(report)[1] - beam_bearings(report)[0]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("increment", [0.1, -0.1])
+def test_a_cell_has_its_nearest_return_whatever_the_order_of_beams_and_none_where_nothing_was_measured(increment):
+    ranges = np.array([2.0, np.inf, np.nan, 3.0, 4.0, 0.0, 9.0], np.float32)
+    scan = Scan(ranges, np.float32(-3.0 * increment), np.float32(increment), 8.0)
+    found = scan.by_bearing[:: int(np.sign(increment))]
+    assert found[:, 2].tolist() == [2.0, 0.0, NO_BEAM, 3.0, 4.0, NO_BEAM, 0.0]
+    assert found[[0, 3, 4], :2] == pytest.approx(scan.points_laser[[0, 3, 4]], abs=1e-6)
+    bearings = np.array([-0.3, -0.26, -0.1, 0.0, 0.04, 0.3, 0.3])
+    swept = replace(scan, sweep=Sweep(bearings, False, np.zeros((3, 3)), np.zeros(7)))
+    assert swept.by_bearing[:, 2].tolist() == [2.0, NO_BEAM, NO_BEAM, 3.0, NO_BEAM, NO_BEAM, 0.0]

@@ -124,7 +124,7 @@ def test_a_notebook_uses_public_names_alone(notebook: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["sixthsense.slam.association.associator.Associator", "sixthsense.figures._axes", "sixthsense.core.se2.eigen"],
+    ["sixthsense.slam.association.associator.Associator", "sixthsense.figures._axes", "sixthsense.core.se2.whitening"],
 )
 def test_what_is_in_a_room_is_not_public_for_that(name: str) -> None:
     assert not is_public(name)
@@ -133,13 +133,18 @@ def test_what_is_in_a_room_is_not_public_for_that(name: str) -> None:
 def test_names_of_a_notebook_are_found_however_they_are_written(tmp_path: Path) -> None:
     source = """import sixthsense as ss
 from sixthsense import figures as fig
-from sixthsense.core.se2 import eigen
+from sixthsense.core.se2 import whitening
 ss.run().plot(fig.ellipse, ss.slam.slam.Slam)
 %pip install nothing
 """
     file = tmp_path / "one.ipynb"
     file.write_text(json.dumps({"cells": [{"cell_type": "code", "source": [source]}]}))
-    found = ["sixthsense.core.se2.eigen", "sixthsense.figures.ellipse", "sixthsense.run", "sixthsense.slam.slam.Slam"]
+    found = [
+        "sixthsense.core.se2.whitening",
+        "sixthsense.figures.ellipse",
+        "sixthsense.run",
+        "sixthsense.slam.slam.Slam",
+    ]
     assert sorted(package_names(file)) == found
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.ordering import ascending
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -58,8 +57,8 @@ def best_matches(pairs: Pairs, may_match: Mask, penalty: Array, walls: Mask, gat
     Observations with few options come first.
     """
     m, k = may_match.shape
-    options = np.array([may_match[i].sum() for i in range(m)])
-    order = ascending(options)
+    options = np.array([float(may_match[i].sum()) for i in range(m)])
+    order = np.argsort(options, kind="mergesort")
     order = order[options[order] > 0]
     steps = len(order)
     chains, lengths, worths = np.empty((BEAM, steps), np.int64), np.zeros(BEAM, np.int64), np.zeros(BEAM)
@@ -80,7 +79,7 @@ def best_matches(pairs: Pairs, may_match: Mask, penalty: Array, walls: Mask, gat
                     if worth > 0.0:
                         new_worths[found], changes[found, 0], changes[found, 1] = worths[h] + worth, h, j
                         found += 1
-        best = ascending(-new_worths[:found])[:BEAM]
+        best = np.argsort(-new_worths[:found], kind="mergesort")[:BEAM]
         old_chains, old_lengths = chains.copy(), lengths.copy()
         for place in range(len(best)):
             h, j = changes[best[place]]

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
@@ -26,7 +25,6 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
-from sixthsense.core.se2 import put, whitening
 from sixthsense.core.sensor import Sensor
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
@@ -52,16 +50,9 @@ def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
     return gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _roots(covs: Array) -> Array:
     """(m, 3, 3) roots of the informations of motions with covariances (m, 3, 3), and a floor."""
-    out = np.empty((len(covs), 3, 3))
-    for k in range(len(covs)):
-        cov = covs[k].copy()
-        for i in range(3):
-            cov[i, i] += _FLOOR**2
-        put(out, k, whitening(cov))
-    return out
+    return root_information(covs + _FLOOR**2 * np.eye(3))
 
 
 def floored(cov: Array) -> Array:

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numba
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.returns import cell_of
 from sixthsense.core.se2 import between, inverse, triple
 from sixthsense.slam.scans.alignment import NORMALS_AGREE, SCALE_M, SURFACE_M, Views
-from sixthsense.slam.scans.returns import Returns, bearings_at, cell_of, direction
+from sixthsense.slam.scans.returns import Returns, bearings_at
 
 _LEAST_JUDGED = 15.0  # returns; fewer are no evidence
 
@@ -52,7 +53,7 @@ def agreement(returns: Returns, target: int, source: int, pose: tuple[float, flo
         px, py = points[source, k, 0], points[source, k, 1]
         x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
         distance = math.sqrt(x * x + y * y)
-        centre = math.floor(cell_of(seen, direction(x, y)) + 0.5)
+        centre = math.floor(cell_of(seen, math.atan2(y, x)) + 0.5)
         if not seen.closed and (centre < 1 or centre >= seen.beams - 1):
             continue
         gap, shortest, nearest, found = math.inf, math.inf, math.inf, -1

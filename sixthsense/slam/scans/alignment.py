@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.returns import Bearings, cell_of
 from sixthsense.core.se2 import between, inverse, inverse_covariance, product, triple, wrapped
-from sixthsense.slam.scans.returns import Bearings, Returns, bearings_at, cell_of, direction
+from sixthsense.slam.scans.returns import Returns, bearings_at
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
 _SINE_OF_REACH = math.sin(_MAX_REACH_RAD) / _MAX_REACH_RAD  # at most sin(a) / a up to there
@@ -83,7 +84,7 @@ def no_sums(pairs: int) -> Sums:
 def _nearest(points: NDArray[np.float32], bearings: Bearings, x: float, y: float, gate_m: float) -> int:
     """The cell of the return, among `points` (beams, 3), that is nearest to (x, y); -1 for none within the gate."""
     beams = bearings.beams
-    centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
+    centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
     # A return n cells away lies at least n - 1 cells from the point's direction, and so far from the point, at least.
     apart = (_SINE_OF_REACH * bearings.spacing) ** 2 * (x * x + y * y)
     nearest, found = gate_m * gate_m, -1

@@ -124,7 +124,7 @@ class ScanFrontEnd:
         if not (self._is_carried or known is None or is_due(moved, self._since, self._config.keyframes)):
             self._since = found
             if self._has_final_pass:
-                self._scans.append(TrackedScan(scan, self.newest, self._since, moved))
+                self._scans.append(TrackedScan(dataclasses.replace(scan), self.newest, self._since, moved))
             return None
         motion = self._motion(tracked, moved)
         with self._clock("predict"):

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
-from sixthsense.core.se2 import between, compose, conjugate, move_covariance, triple, whitenings
+from sixthsense.core.se2 import between, compose, conjugate, move_covariance, triple
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.links import NEAR_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
@@ -253,8 +254,7 @@ class ScanGraph:
         before, after = (np.ascontiguousarray(self.poses[end]) for end in links["ends"].T)
         off = links["pose"] - between(before, after).reshape(-1, 3)
         off[:, 2] = wrap_angle(off[:, 2])
-        roots = whitenings(np.ascontiguousarray(links["cov"]))
-        return np.asarray(((roots @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
+        return np.asarray(((root_information(links["cov"]) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
 
     def linked_old(self, first: int, last: int) -> Keys:
         """Old keyframes that those from `first` to `last` are linked to."""

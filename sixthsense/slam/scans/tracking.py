@@ -28,8 +28,6 @@ from sixthsense.core.se2 import (
     between,
     compose,
     conjugate,
-    eigen,
-    in_axes,
     inverse,
     inverse_covariance,
     move_covariance,
@@ -238,10 +236,9 @@ def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Aligned:
     """The pose that a scan is aligned at among others from `start` (3,), with partners up to `gate_m` at first."""
     pose, sums = start.copy(), Sums(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3))
     align(views, prior, gate_m, False, pose, sums)
-    values, axes = eigen(sums.hessian - sums.feigned)
-    for k in range(3):
-        values[k] = max(values[k], 0.0) / (SIGMA_M**2 * views.factor * max(1, len(views.targets)))
-    return Aligned(pose, in_axes(values, axes))
+    values, axes = np.linalg.eigh(sums.hessian - sums.feigned)
+    variance = SIGMA_M**2 * views.factor * max(1, len(views.targets))
+    return Aligned(pose, (axes * (np.maximum(values, 0.0) / variance)) @ axes.T)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -275,13 +272,10 @@ def _remapped(information: Array, prior: Prior, off: Array) -> tuple[Array, Arra
     Along a corridor a few wrong partners hold a scan where it was. Solution remapping, Zhang, Kaess and Singh 2016,
     "On degeneracy of optimization-based state estimation problems", with information in place of a threshold.
     """
-    values, axes = eigen(information)
-    left, share = np.empty(3), np.empty(3)
-    for i in range(3):
-        left[i] = max(values[i] - 0.5 * FEW_RETURNS / SIGMA_M**2, 0.0)
-        share[i] = left[i] / max(values[i], 1e-3)
-    told = in_axes(left, axes)
-    by_scans = product(in_axes(share, axes), product(added(prior.information, information), off))
+    values, axes = np.linalg.eigh(information)
+    left = np.maximum(values - 0.5 * FEW_RETURNS / SIGMA_M**2, 0.0)
+    told, share = (axes * left) @ axes.T, (axes * (left / np.maximum(values, 1e-3))) @ axes.T
+    by_scans = product(share, product(added(prior.information, information), off))
     return product(inverse_covariance(added(prior.information, told)), by_scans), told
 
 

@@ -8,11 +8,12 @@ from rooms import CORRIDOR, HALF, ROOM, ROUND, scan_at, stored
 from scipy.stats import chi2
 
 from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.returns import Bearings, normals_of
 from sixthsense.core.se2 import inverse, triple
 from sixthsense.slam.scans.agreement import agreement, agreement_of, contradicted
 from sixthsense.slam.scans.alignment import Prior, Sums, Views, add_all, align, no_sums, partners_of
 from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances, private_covariance, reported
-from sixthsense.slam.scans.returns import Bearings, bearings_at, direction, fit_normals
+from sixthsense.slam.scans.returns import bearings_at
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
 LASERS = pytest.mark.parametrize("laser", [ROUND, HALF], ids=["full circle", "half circle"])
@@ -107,13 +108,6 @@ def test_returns_that_share_a_partner_count_as_two_pairs_at_most():
     assert sums.totals[1] < 2 * np.count_nonzero(shared) < 0.5 * shared.sum()
 
 
-def test_a_direction_is_that_of_atan2_to_a_thousandth_of_a_beam():
-    angles = np.linspace(-math.pi, math.pi, 10_001)
-    found = [direction(2.5 * math.cos(a), 2.5 * math.sin(a)) for a in angles]
-    assert np.abs(wrap_angle(np.array(found) - angles)).max() < 1.2e-5
-    assert direction(0.0, 0.0) == 0.0
-
-
 def test_a_full_circle_has_normals_where_it_begins_and_ends():
     returns = stored(scan_at(Pose(3.0, 0.5, 0.0), laser=ROUND)).returns  # the first beam looks at the far wall
     turned = stored(scan_at(Pose(3.0, 0.5, math.pi), laser=ROUND)).returns
@@ -144,8 +138,7 @@ def test_a_normal_is_that_of_the_line_through_near_neighbours_or_else_through_mo
     ranges[20:] += 0.5  # another surface
     returns = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), ranges]).astype(np.float32)
     returns[9] = 0.0
-    found, counts = np.ones((30, 3), np.float32), {"near": 0, "far": 0, "none": 0}
-    fit_normals(returns, bearings, found)
+    found, counts = normals_of(returns, bearings), {"near": 0, "far": 0, "none": 0}
     for i in (*range(9), *range(10, 30)):
         low, high = next(piece for piece in ((0, 9), (10, 20), (20, 30)) if piece[0] <= i < piece[1])
         near, far = (plain_normal(returns, i, low, high, reach_m) for reach_m in (0.12, 0.24))
