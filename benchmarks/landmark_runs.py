@@ -13,7 +13,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.evaluation.metrics import heading_rmse
-from sixthsense.evaluation.true_identities import TrueLaser, identify, landmark_identities, true_identities
+from sixthsense.evaluation.true_identities import identify, landmark_identities, true_identities
 from sixthsense.figures.run import Run
 from sixthsense.logs.mrclam import read_mrclam, true_landmarks
 from sixthsense.testing.circle import follow, simulate
@@ -30,14 +30,13 @@ def tour_figures(made: Run) -> Figures:
     """Outcome, errors and consistency of a run in a scene, and how many of its observations were matched wrongly."""
     trace = made.trace
     assert trace.scene is not None
-    laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
     scene, truths = true_identities(trace.scene.walls), np.array(trace.key_truths)
     associations = [association.observations for association in trace.associations]
-    known = landmark_identities(associations, truths, scene, laser)
+    known = landmark_identities(associations, truths, scene)
     wrong = sum(
         len(faces) == 1 and faces[0] != known.get(i, faces[0])
         for seen, truth in zip(associations, truths, strict=True)
-        for i, faces in zip(seen, identify([*seen.values()], Pose.from_array(truth), scene, laser), strict=True)
+        for i, faces in zip(seen, identify([*seen.values()], Pose.from_array(truth), scene), strict=True)
     )
     return chosen(made.metrics, METRICS) | {"observations": sum(map(len, associations)), "wrong": wrong}
 

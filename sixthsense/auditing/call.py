@@ -11,13 +11,10 @@ from sixthsense.auditing.opening import Options, Order, Source, open_estimate, o
 from sixthsense.auditing.pairing import (
     Align,
     Errors,
-    Offset,
     aligned,
     check_is_not_the_truth,
     errors_of,
     paired,
-    same_space,
-    time_offset,
 )
 from sixthsense.auditing.pairs import pair_findings
 from sixthsense.auditing.poses import Frame, Poses
@@ -38,7 +35,6 @@ class _Compared:
     errors: Errors
     other: Errors
     """with the covariances read in the other frame"""
-    offset: Offset | None
     trajectory: TrajectoryErrors
     notes: tuple[str, ...]
 
@@ -56,7 +52,7 @@ def audit(
     frame: Frame | None = None,
     order: Order = "translation",
     align: Align | None = None,
-    time_offset: float | None = None,
+    time_offset: float = 0.0,
     same_start: bool = False,
 ) -> Audit:
     """Audit the covariances of any system: whether its errors against the truth are as large as it says.
@@ -86,7 +82,7 @@ def audit(
         "none", by default; "all", the default with `pair`: the motion with the least sum of NEES, whose degrees of
         freedom are taken off.
     time_offset
-        Search an offset of the stamps up to so many seconds, where the mean NEES is least.
+        Seconds to add to the stamps of the estimate.
     same_start
         Whether both begin together, by other clocks: stamps count from the first pose of each.
 
@@ -123,11 +119,10 @@ def _judged(runs: list[_Compared], options: Options, is_pair: bool = False) -> A
             f"{nees:.3g} (frame {other})"
         )
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
-    offsets = tuple(run.offset for run in runs if run.offset is not None)
     trajectory = None if is_pair else pooled([(len(run.truth), run.trajectory) for run in runs])
     judged = pair_findings(found, own[0]) if is_pair else None
     words = _read_as(first, read, found.pose.dof, options)
-    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes), trajectory, judged)
+    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), tuple(notes), trajectory, judged)
 
 
 def _matched(
@@ -178,20 +173,16 @@ def _beside_each_other(
 
 def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options) -> _Compared:
     frame: Frame = estimate.frame or "world"
-    offset, offset_ns = None, 0
     if options.same_start:
         truth = replace(truth, stamps_ns=truth.stamps_ns - truth.stamps_ns[0] + estimate.stamps_ns[0])
-    if options.time_offset is not None:
-        plain = same_space(estimate, truth)
-        offset = time_offset(plain[0], plain[1], options.time_offset, align, frame)
-        offset_ns = round(1e9 * offset.seconds)
-    pair = paired(replace(estimate, frame=frame), truth, offset_ns)
+    stamps_ns = estimate.stamps_ns + round(1e9 * options.time_offset)
+    pair = paired(replace(estimate, frame=frame, stamps_ns=stamps_ns), truth)
     check_is_not_the_truth(pair)
     motion = aligned(pair, align, frame)
     own, other = (errors_of(pair, motion, one) for one in (frame, "body" if frame == "world" else "world"))
     wrong = [f"{WRONG}: {mistake}" for mistake in of_errors(own)] if truth.covs is None else []
     notes = (*pair.notes, *of_poses(pair, align), *wrong)
-    return _Compared(estimate, pair.truth, own, other, offset, trajectory_errors(pair), notes)
+    return _Compared(estimate, pair.truth, own, other, trajectory_errors(pair), notes)
 
 
 def _read_as(estimate: Poses, frame: Frame, dof: int, options: Options) -> str:

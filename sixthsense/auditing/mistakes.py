@@ -168,5 +168,5 @@ def _other_clock(pair: Pair, off: Array, headings: Array) -> Iterator[str]:
         word = "late" if delay > 0.0 else "early"
         yield (
             f"stamps of the estimate are about {abs(delay):.2g} s {word}, by the errors of headings in turns "
-            "(`time_offset` measures it)"
+            f"(otherwise set `time_offset` {-delay:.2f})"
         )

@@ -52,8 +52,8 @@ class Options(Section):
     """which half of a covariance is first"""
     align: Align | None = None
     """how the estimate is brought into the frame of the truth; by default not, and by all poses into that of a pair"""
-    time_offset: Annotated[float | None, Field(gt=0.0, le=1e6)] = None
-    """largest offset of the stamps to search, s; None: none is searched"""
+    time_offset: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0
+    """added to the stamps of the estimate, s"""
     same_start: bool = False
     """whether both begin together: stamps count from the first pose of each"""
 

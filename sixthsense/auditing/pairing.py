@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from sixthsense.auditing.poses import Frame, Poses, Stamps, interpolated, is_of_
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import seconds
-from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
 Align = Literal["none", "all"]
@@ -25,8 +23,6 @@ _GAP = 3.0
 """Longest time between two true poses that are interpolated, in median intervals: beyond it some are missing."""
 _BENT = 0.5
 """of the stated sigmas: the error of an interpolated truth beyond which only poses beside a true one are compared"""
-_MOST_POSES, _OFFSETS, _OFFSET_STEPS, _SHORT_S = 1000, 51, 5, 1e-3
-"""of the search for a time offset: evenly chosen poses, offsets of its grid, steps from the best, and half of one, s"""
 _MOST_STEPS = 20
 """of the search for an alignment"""
 _SAME = 1e-9
@@ -86,8 +82,8 @@ def same_space(estimate: Poses, truth: Poses) -> tuple[Poses, Poses, list[str]]:
     return estimate.in_plane(), truth.in_plane(), note
 
 
-def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
-    """The estimate at the instants between true poses, with the truth interpolated there, `offset_ns` later.
+def paired(estimate: Poses, truth: Poses) -> Pair:
+    """The estimate at the instants between true poses, with the truth interpolated there.
 
     Poses whose covariance has no full rank are left out, since their NEES is not defined, and those in a gap of the
     truth; where the truth bends between its poses by more than the stated sigmas allow, all but those beside a true
@@ -96,7 +92,7 @@ def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
     estimate, truth, notes = same_space(estimate, truth)
     notes = [*estimate.notes, *truth.notes, *notes]
     assert estimate.covs is not None
-    at, true_ns = estimate.stamps_ns + offset_ns, truth.stamps_ns
+    at, true_ns = estimate.stamps_ns, truth.stamps_ns
     inside = (at >= true_ns[0]) & (at <= true_ns[-1])
     if len(truth) < 2 or not inside.any():
         spans = [f"{seconds(one[0]):.3f} to {seconds(one[-1]):.3f} s" for one in (at, true_ns)]
@@ -184,48 +180,6 @@ def aligned(pair: Pair, align: Align, frame: Frame) -> Motion:
         if step @ sums[:, :-1] @ step < 1e-8:  # squared, in sigmas of the alignment
             break
     return turn, shift
-
-
-class Offset(NamedTuple):
-    """An offset of clocks that was found."""
-
-    seconds: float
-    """to add to the stamps of the estimate"""
-    sigma_s: float
-    """by the curvature of the NEES and the effective number of samples"""
-
-
-def time_offset(estimate: Poses, truth: Poses, limit_s: float, align: Align, frame: Frame) -> Offset:
-    """The offset of the stamps of the estimate, within +- `limit_s`, at which its mean NEES is least.
-
-    The search uses the poses whose stamps lie within the truth for every offset, from the best of a grid on by
-    Gauss-Newton. Raises InputError if there are none, and if the least value lies at the limit.
-    """
-    limit_ns = round(limit_s * 1e9)
-    low, high = truth.stamps_ns[0] + limit_ns, truth.stamps_ns[-1] - limit_ns
-    rows = np.flatnonzero((estimate.stamps_ns >= low) & (estimate.stamps_ns <= high))
-    if len(rows) < 2:
-        raise InputError("time_offset", f"found no pose more than {limit_s:g} s within the truth", "a smaller limit")
-    some = estimate.part(rows[np.unique(np.linspace(0, len(rows) - 1, _MOST_POSES).astype(np.int64))])
-
-    def errors(offset_s: float) -> Errors:
-        pair = paired(some, truth, round(offset_s * 1e9))
-        return errors_of(pair, aligned(pair, align, frame), frame)
-
-    grid = np.linspace(-limit_s, limit_s, _OFFSETS)
-    offset_s = float(grid[np.argmin([errors(offset).nees.mean() for offset in grid])])
-    for _ in range(_OFFSET_STEPS):
-        least = errors(offset_s)
-        later, earlier = errors(offset_s + _SHORT_S), errors(offset_s - _SHORT_S)
-        rate = (later.error - earlier.error) / (2.0 * _SHORT_S)
-        weighted = np.linalg.solve(least.cov, rate[:, :, None])[:, :, 0]
-        power = float(np.sum(weighted * rate)) / len(rate)
-        offset_s -= float(np.sum(weighted * least.error)) / len(rate) / max(power, 1e-12)
-        if abs(offset_s) >= limit_s - _SHORT_S:
-            found = f"found the least NEES at the limit of {limit_s:g} s"
-            raise InputError("time_offset", found, "a larger limit, or a robot that moves")
-    samples = consistency([(least.error, least.cov)]).samples
-    return Offset(offset_s, 1.0 / math.sqrt(max(samples * power, 1e-12)))
 
 
 def check_is_not_the_truth(pair: Pair) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.auditing.pairing import Align, Errors, Offset
+from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.pairs import LEAST_OF_A_PAIR, PairFindings
 from sixthsense.auditing.poses import Frame
 from sixthsense.auditing.scores import TrajectoryErrors
@@ -56,8 +56,6 @@ class Audit:
     """how the covariances were read, in words"""
     names: tuple[str, str]
     """of the estimate and of the truth"""
-    offsets: tuple[Offset, ...]
-    """of the stamps of each estimate; empty if none was searched"""
     notes: tuple[str, ...]
     """what a user should know, a line each"""
     trajectory: TrajectoryErrors | None
@@ -127,9 +125,6 @@ class Audit:
         if self.trajectory is not None:
             rpe = f"from pose to pose RPE {self.trajectory.rpe_m:.4f} m, {self.trajectory.rpe_deg:.3f}°"
             yield "trajectory", f"{_trajectory(self.trajectory)}; {rpe}"
-        for one in self.offsets:
-            spread = f"with a sigma of {1e3 * one.sigma_s:.1f} ms"
-            yield "time offset", f"{1e3 * one.seconds:+.1f} ms added to the stamps of the estimate, {spread}"
         yield from (("note", note) for note in self.notes)
 
     def as_dict(self) -> dict[str, Any]:
@@ -140,7 +135,6 @@ class Audit:
         known["findings"] |= {"band": self.findings.pose.band, "interval": self.findings.pose.interval}
         for name in ("trajectory", "pair"):
             known[name] = None if (part := getattr(self, name)) is None else asdict(part)
-        known["time_offset_s"] = [offset.seconds for offset in self.offsets]
         return dict(_finite(known))
 
     def save(self, file: str | Path) -> None:

@@ -6,8 +6,6 @@ import inspect
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from sixthsense.cli import DONE, FAILED
 from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config.errors import InputError
@@ -47,8 +45,8 @@ class Audit(Options):
     """Which comes first in a covariance."""
     align: Literal["none", "all"] | None = None
     """none, the default without --pair. all: by all poses, the degrees of freedom are taken off."""
-    time_offset: Annotated[float | None, Field(gt=0.0), Arg("[S]", without=1.0)] = None
-    """Search an offset of the stamps up to S seconds (1)."""
+    time_offset: float = 0.0
+    """Seconds to add to the stamps of the estimate."""
     same_start: bool = False
     """Both begin together, by other clocks: stamps count from the first pose of each."""
     figure: Path | None = None

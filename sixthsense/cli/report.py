@@ -9,10 +9,8 @@ from sixthsense.cli import DONE
 from sixthsense.cli.common import announce, numbered
 from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config.errors import InputError
-from sixthsense.config.section import checked
 
 if TYPE_CHECKING:
-    from sixthsense.figures.plot import Form
     from sixthsense.figures.run import Run
 
 _FILM = "animation.gif"
@@ -21,8 +19,7 @@ _FILM = "animation.gif"
 class Report(Options):
     """Draw the figures of finished or killed runs, and write report.html.
 
-    The page has the figures, the metrics, the configuration and the command that repeats the run. A killed run is shown
-    up to its last record.
+    The page has the figures, the metrics and the configuration. A killed run is shown up to its last record.
 
     The figures of one run are written to its own figures/. Several runs are drawn side by side, with a table of
     metrics.
@@ -34,8 +31,6 @@ class Report(Options):
     """Folder to write; for several runs by default a new one under runs/."""
     overwrite: bool = False
     """Write into DIR if it exists."""
-    figures: Annotated[str, Arg("FORM")] = "png"
-    """svg or pdf: each figure as vector graphics, too; png: bitmaps only."""
     animate: Annotated[str | None, Arg("[FILE]", without=_FILM)] = None
     """Film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif beside the figures."""
 
@@ -49,11 +44,9 @@ class Report(Options):
         from sixthsense.evaluation.measured_run import check_folders
         from sixthsense.figures.animation import check_film
         from sixthsense.figures.comparison import compare
-        from sixthsense.figures.plot import Form
         from sixthsense.figures.report import report
         from sixthsense.figures.run import load
 
-        form: Form = checked("figures", Form, self.figures)
         if self.animate is not None and len(folders) > 1:
             raise InputError("animate", f"found {len(folders)} runs", "one run")
         check_folders(folders)
@@ -62,7 +55,7 @@ class Report(Options):
             check_film(self.animate, runs[0].trace)
         if out is None:
             out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
-        files = report(runs, out, form)
+        files = report(runs, out)
         print(compare(runs).metrics().drop(columns="meaning").to_string())
         for run in runs:
             for part in run.missing:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,30 +13,31 @@ from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import key_errors, key_poses
 from sixthsense.evaluation.results import QUANTITIES, Metrics
-from sixthsense.evaluation.true_identities import TrueLaser, landmark_identities, true_identities
+from sixthsense.evaluation.true_identities import landmark_identities, true_identities
 from sixthsense.record.trace import STAGES
-from sixthsense.simulation.scene import Scene
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
+
+_COUNTED = ("plans_below_margin", "guard_stops", "plans_by_astar")
+"""metrics that a trace has under the same name, or as None"""
 
 
 def measure(trace: Trace) -> Metrics:
     """The metrics of a run, without keys for what cannot be measured."""
     out = Metrics(outcome=trace.outcome)
     if trace.truths:
-        out["collisions"] = int(trace.outcome == "collided")
-        if trace.touches is not None:
-            out["touches_by_robot"], out["touches_by_walkers"] = trace.touches
-        out |= _goal_error(trace) | _home_error(trace)
-        out |= _errors(trace)
-        if trace.scene is not None:
-            share = float(coverage_of(trace)[1][-1])
-            out |= {"coverage": share} if np.isfinite(share) else {}
-            out |= _landmark_nees(trace, trace.scene)
-    out |= _consistency(trace)
-    out |= _relations(trace)
-    out |= _evidence(trace)
+        out |= _errors(trace) | _error_at_end(trace) | relative_errors(trace) | _of_scene(trace)
+    return Metrics({**out, **_consistency(trace), **_relations(trace), **_record(trace), **_timing(trace)})
+
+
+def _record(trace: Trace) -> dict[str, float | str]:
+    """The verdict, what was used of the source, the map, the path, and parameters that were estimated."""
+    out: dict[str, float | str] = {"scans": len(trace.stamps_ns), "keyframes": len(trace.key_stamps_ns)}
+    if len(trace.stamps_ns) > 1:
+        out["largest_gap_s"] = seconds(float(np.diff(trace.stamps_ns).max()))
+    if trace.grid is not None and (area_m2 := trace.grid.seen_area_m2):
+        out["area_seen_m2"] = area_m2
     if trace.verdict is not None:
         out["verdict"] = str(trace.verdict)
         if trace.verdict.probability is not None:
@@ -49,78 +50,49 @@ def measure(trace: Trace) -> Metrics:
         if parameters is not None:  # (2, n), values and sigmas
             out |= zip((key for key in QUANTITIES if key.startswith(name)), parameters[0].tolist(), strict=True)
     if trace.outcome.startswith("explored") or trace.left:
-        out["places_left"] = len(trace.left)
-        out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
+        out["places_left"], out["area_left_m2"] = len(trace.left), sum(place.area_m2 for place in trace.left)
     out["path_length_m"] = trace.path_length_m
     if trace.plans or trace.guard_stops is not None:
         out["plans"] = len(trace.plans)
-    if trace.plans_below_margin is not None and trace.guard_stops is not None:
-        out["plans_below_margin"], out["guard_stops"] = trace.plans_below_margin, trace.guard_stops
-    if trace.plans_by_astar is not None:
-        out["plans_by_astar"] = trace.plans_by_astar
-    sim_time_s = seconds(trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
-    out["sim_time_s"] = sim_time_s
-    out |= _timing(trace, sim_time_s)
-    return out
+    return out | {name: value for name in _COUNTED if (value := getattr(trace, name)) is not None}
 
 
-def _evidence(trace: Trace) -> dict[str, float]:
-    """What was used of the source, and how much of the area was seen."""
-    out: dict[str, float] = {"scans": len(trace.stamps_ns), "keyframes": len(trace.key_stamps_ns)}
-    if len(trace.stamps_ns) > 1:
-        out["largest_gap_s"] = seconds(float(np.diff(trace.stamps_ns).max()))
-    if trace.grid is not None and (area_m2 := trace.grid.seen_area_m2):
-        out["area_seen_m2"] = area_m2
-    return out
-
-
-def _goal_error(trace: Trace) -> dict[str, float]:
-    """Distance of the true position from the goal; the outcome is judged by the estimate."""
-    goal = trace.config.goal or (trace.scene.goal if trace.scene is not None else None)
-    if goal is None or trace.config.task != "goal" or trace.last_position is None:
+def _error_at_end(trace: Trace) -> dict[str, float]:
+    """Distance of the true position from the goal, or from the start after an exploration that returned home."""
+    config, name = trace.config, "goal_error_m"
+    place: Any = None
+    if config.task == "goal":
+        place = config.goal or (trace.scene.goal if trace.scene is not None else None)
+    elif config.task == "explore" and config.explore.return_home and trace.outcome.startswith("explored"):
+        name, place = "home_error_m", trace.truths[0][:2]
+    if place is None or trace.last_position is None:
         return {}
-    return {"goal_error_m": float(np.hypot(*(trace.last_position - np.array(goal))))}
-
-
-def _home_error(trace: Trace) -> dict[str, float]:
-    """Distance of the true position from the start after an exploration that returns home."""
-    ended = trace.config.explore.return_home and trace.outcome.startswith("explored")
-    if not ended or trace.config.task != "explore" or trace.last_position is None:
-        return {}
-    return {"home_error_m": float(np.hypot(*(trace.last_position - trace.truths[0][:2])))}
+    return {name: float(np.hypot(*(trace.last_position - place)))}
 
 
 def _relations(trace: Trace) -> dict[str, float]:
     if trace.relations is None:
         return {}
-    given = trace.relations
-    stamps = np.array(trace.log_stamps_s)
+    given, stamps = trace.relations, np.array(trace.log_stamps_s)
     # A replay that ended early is compared with the relations of its part only.
     reached = np.isin(np.round(given.stamps, 6), np.round(stamps, 6)).all(axis=1)
     if not reached.any():
         return {}
-    poses = trace.scan_poses()
-    translation, angle = metrics.relations_error(stamps, poses, given.stamps[reached], given.poses[reached])
+    found = metrics.relations_error(stamps, trace.scan_poses(), given.stamps[reached], given.poses[reached])
     return {
-        "relations_trans_m_mean": float(translation.mean()),
-        "relations_rot_deg_mean": float(np.degrees(angle).mean()),
-    }
+        "relations_trans_m_mean": float(found[0].mean()), "relations_rot_deg_mean": float(np.degrees(found[1]).mean())
+    }  # fmt: skip
 
 
 def _errors(trace: Trace) -> dict[str, float]:
     truth, estimate = np.array(trace.truths), np.array(trace.estimates)
     out = {
+        "collisions": int(trace.outcome == "collided"),
         "ate_rmse_m": metrics.ate(estimate, truth),
         "dead_reckoning_ate_rmse_m": metrics.ate(np.array(trace.odometry), truth),
         "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
     }
-    out |= relative_errors(trace)
-    if trace.scene is not None and not trace.final.walls.all():
-        corners = metrics.true_landmarks(trace.scene.walls)
-        rmse, matched = metrics.match_landmarks(trace.final.landmarks[~trace.final.walls], corners, 0.5)
-        if matched:
-            out["landmark_rmse_m"] = rmse
-    return out
+    return out | dict(zip(("touches_by_robot", "touches_by_walkers"), trace.touches or (), strict=False))
 
 
 def relative_errors(trace: Trace) -> dict[str, float]:
@@ -152,29 +124,37 @@ def _consistency(trace: Trace) -> dict[str, float]:
     return out
 
 
-def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:
-    """NEES at the end of the landmarks whose true wall or point is known."""
-    known = true_identities(scene.walls)
-    laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
-    identities = landmark_identities(
-        [a.observations for a in trace.associations], np.array(trace.key_truths), known, laser
-    )
-    rows = [k for k, i in enumerate(trace.final.ids.tolist()) if i in identities]
-    if not rows:
+def _of_scene(trace: Trace) -> dict[str, float]:
+    """Coverage, errors of points, and NEES at the end of the landmarks whose true wall or point is known."""
+    if trace.scene is None:
         return {}
-    truth = np.array([known.landmark(identities[i]) for i in trace.final.ids[rows].tolist()])
-    covs = landmark_covariances(trace.joint_cov)[rows]
-    nees = metrics.nees_landmarks(trace.final.landmarks[rows], truth, trace.final.walls[rows], covs)
-    return {"landmark_nees_mean": float(np.mean(nees))}
+    final, known = trace.final, true_identities(trace.scene.walls)
+    out: dict[str, float] = {}
+    if not final.walls.all():
+        rmse, matched = metrics.match_landmarks(final.landmarks[~final.walls], known.points, 0.5)
+        out |= {"landmark_rmse_m": rmse} if matched else {}
+    if np.isfinite(share := float(coverage_of(trace)[1][-1])):
+        out["coverage"] = share
+    associations = [one.observations for one in trace.associations]
+    identities = landmark_identities(associations, np.array(trace.key_truths), known)
+    rows = [k for k, i in enumerate(final.ids.tolist()) if i in identities]
+    if rows:
+        truth = np.array([known.landmark(identities[i]) for i in final.ids[rows].tolist()])
+        covs = landmark_covariances(trace.joint_cov)[rows]
+        out["landmark_nees_mean"] = float(
+            metrics.nees_landmarks(final.landmarks[rows], truth, final.walls[rows], covs).mean()
+        )
+    return out
 
 
-def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:
-    out = {"wall_time_s": trace.wall_time_s}
+def _timing(trace: Trace) -> dict[str, float]:
+    sim_time_s = seconds(trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
+    out = {"sim_time_s": sim_time_s, "wall_time_s": trace.wall_time_s}
     if trace.wall_time_s > 0.0:
         out["realtime_factor"] = sim_time_s / trace.wall_time_s
-    rows = trace.stopwatch.rows
-    if rows:
-        out |= metrics.scan_times(trace.stopwatch.keyframe_ms())
+    if rows := trace.stopwatch.rows:
+        times = np.percentile(trace.stopwatch.keyframe_ms(), [50, 99]).tolist()
+        out |= dict(zip(("scan_ms_p50", "scan_ms_p99"), times, strict=True))
         totals = trace.stopwatch.totals
         out |= {f"stage_ms_mean.{stage}": totals[stage] / len(rows) for stage in STAGES if totals[stage] > 0.0}
     return out

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from sixthsense.config.errors import InputError, did_you_mean
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import instead_of
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import curves, key_nees, key_places, key_poses
@@ -196,7 +196,7 @@ class MeasuredRun:
         return files
 
 
-def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a run") -> None:
+def check_folders(folders: Sequence[Path | str]) -> None:
     """Raise InputError for a folder that is not a run folder, for no folder and for more than `MAX_RUNS`."""
     if not 1 <= len(folders) <= MAX_RUNS:
         raise InputError("runs", f"found {len(folders)}", f"1 to {MAX_RUNS}")
@@ -204,18 +204,7 @@ def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a
         if not (folder / "config.toml").is_file():
             is_campaign = (folder / "campaign.toml").is_file()
             found = "the folder of a campaign" if is_campaign else instead_of(folder, "config.toml")
-            raise InputError(folder, f"found {found}", f"{allowed}{_near(folder)}")
-
-
-def _near(folder: Path) -> str:
-    """The end of a message about a folder that is not there: the one beside it with the nearest name."""
-    if folder.exists():
-        return ""
-    try:
-        beside = [str(other) for other in folder.parent.iterdir() if other.is_dir()]
-    except OSError:
-        return ""
-    return did_you_mean(str(folder), beside)
+            raise InputError(folder, f"found {found}", "the folder of a run")
 
 
 def numbered_names(names: Sequence[str]) -> list[str]:

@@ -152,14 +152,6 @@ def relations_error(
     return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 
 
-def scan_times(ms: Array) -> dict[str, float]:
-    """Median and 99th percentile of (K,) processing times, milliseconds, by key; empty for none."""
-    if len(ms) == 0:
-        return {}
-    p50, p99 = np.percentile(ms, [50, 99])
-    return {"scan_ms_p50": float(p50), "scan_ms_p99": float(p99)}
-
-
 def match_landmarks(estimated: Array, truth: Array, radius: float) -> tuple[float, int]:
     """RMSE and number of one-to-one matches of (N, 2) estimated and (M, 2) true points, metres.
 
@@ -186,6 +178,8 @@ def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
     These are the ends of walls and the points where walls cross or meet, except where a wall only continues in a
     straight line. Points closer than `tolerance_m` are merged.
     """
+    from scipy.spatial import cKDTree  # here, since it takes a while to load
+
     lengths = np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1)
     walls = walls[lengths > 2.0 * tolerance_m]
     if len(walls) == 0:
@@ -193,11 +187,7 @@ def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
     candidates = np.concatenate([walls.reshape(-1, 2), *(_crossings(w, walls[i + 1 :]) for i, w in enumerate(walls))])
     candidates = np.unique(candidates, axis=0)
     is_new = np.ones(len(candidates), dtype=np.bool_)
-    for later in range(1, len(candidates)):  # in ascending x: to those that follow, until all lie beyond in x
-        gaps = candidates[later:] - candidates[:-later]
-        if (gaps[:, 0] > tolerance_m).all():
-            break
-        is_new[later:] &= np.hypot(*gaps.T) > tolerance_m
+    is_new[cKDTree(candidates).query_pairs(tolerance_m, output_type="ndarray")[:, 1]] = False
     points = candidates[is_new]
     directions: list[list[float]] = [[] for _ in points]  # of the walls that leave each point
     for start, end in walls:

@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -30,6 +29,7 @@ SIGNIFICANT = 3.0  # sigmas
 _GATE_M = 0.25  # largest distance of an observation from its true landmark
 _FINEST_M = 1e-3  # lower bound of the range noise
 _HALVINGS = 10
+_STEP = 1e-3  # of a systematic error, for its Jacobian
 _UNIT_SQ = 1e-12  # (1 um)^2, (1 urad)^2, so that no covariance is singular
 _OUTLIER = float(chi_square_quantile(0.999, 2))  # gate of the squared Mahalanobis distance of a match
 
@@ -69,8 +69,6 @@ class LandmarkErrors:
     """(K, 2) observed minus true position, robot's frame, metres"""
     covs: Array
     """(K, 2, 2) covariance of each observation"""
-    false: int
-    """number of observations without a true landmark nearby, excluded above"""
 
     @property
     def nees(self) -> Array:
@@ -83,11 +81,6 @@ class LandmarkErrors:
         nees = self.nees
         inside = nees[nees <= _OUTLIER]
         return float(inside.mean()) if len(inside) else math.inf
-
-    @property
-    def outside(self) -> int:
-        """Number of observations outside the 99.9 % gate."""
-        return int(np.sum(self.nees > _OUTLIER))
 
     def of(self, kind: Kind) -> Array:
         """(N, 2) errors of the observations of one kind."""
@@ -136,11 +129,11 @@ def fit_motion(
 ) -> tuple[AssumedConfig, dict[str, tuple[float, float]]]:
     """Fit the motion noise: the new assumptions, and estimate and sigma of each systematic error.
 
-    The fit is maximum a posteriori. The covariance is linear in the squares of the noise parameters, and the motion is
-    nearly linear in the systematic errors, so a search over the former alternates with generalised least squares for
-    the latter. The mean NEES of the result is close to 3. A systematic error within three sigmas of zero is set to zero
-    and counts as noise. Parameters that the samples cannot separate, such as slip and turn noise, stay close to the
-    assumed values: the prior of each has a standard deviation of a factor of e.
+    The fit is maximum a posteriori. The covariance is linear in the squares of the noise parameters. The motion is
+    nearly linear in the systematic errors, which follow from each covariance by generalised least squares. The mean
+    NEES of the result is close to 3. A systematic error within three sigmas of zero is set to zero and counts as
+    noise. Parameters that the samples cannot separate, such as slip and turn noise, stay close to the assumed values:
+    the prior of each has a standard deviation of a factor of e.
     """
     straight = assumed.replaced(wheel_scale_error=0.0, drift_rad_per_m=0.0)
     noiseless = merge(straight, {"motion": dict.fromkeys(_MOTION, 0.0)})
@@ -148,67 +141,50 @@ def fit_motion(
     initial = {name: getattr(assumed.motion, name) or size for name, size in _MOTION.items()}
     parts = [_composed(samples, merge(noiseless, {"motion": {name: s}}))[1] - floor for name, s in initial.items()]
     basis = np.array(parts)  # (6, N, 3, 3)
-    step = 1e-3
-    perturbed = [_composed(samples, merge(noiseless, {name: step}))[0] for name in _SYSTEMATIC]
-    jacobian = np.stack([between(motions, n) / step for n in perturbed], axis=2)  # (N, 3, 2)
+    perturbed = [_composed(samples, merge(noiseless, {name: _STEP}))[0] for name in _SYSTEMATIC]
+    jacobian = np.stack([between(motions, n) / _STEP for n in perturbed], axis=2)  # (N, 3, 2)
     errors = propagation_errors(samples, noiseless).errors
 
-    kept = [0, 1]
-    scales = np.zeros(len(initial))  # log of the noise parameters relative to their initial values
-    bias = np.zeros(2)
-    for turn in range(4):
-        scales = _fit_scales(errors - jacobian @ bias, floor, basis, scales)
-        weight = np.linalg.inv(floor + np.tensordot(np.exp(2.0 * scales), basis, 1))
-        if turn == 2:  # both estimates are now accurate enough for the test
-            systematic, kept = _significant(errors, jacobian, weight)
-        bias = np.zeros(2)
-        bias[kept] = _least_squares(errors, jacobian[:, :, kept], weight)[0]
-    scales = _fit_scales(errors - jacobian @ bias, floor, basis, scales)
-    fitted = {name: s * float(np.exp(scale)) for (name, s), scale in zip(initial.items(), scales, strict=True)}
-    values = dict(zip(_SYSTEMATIC, bias.tolist(), strict=True))
-    return merge(straight, {"motion": _rounded(fitted), **_rounded(values)}), systematic
+    def solved(scales: Array, kept: list[int]) -> tuple[Array, Array, float]:
+        """Systematic errors, their covariance, and the negative logarithm of the posterior; of log scales (6,)."""
+        covs, own = floor + np.tensordot(np.exp(2.0 * scales), basis, 1), jacobian[:, :, kept]
+        weight = np.linalg.inv(covs)
+        cov = np.linalg.inv(np.einsum("nik,nij,njl->kl", own, weight, own))
+        values = cov @ np.einsum("nik,nij,nj->k", own, weight, errors)
+        deviance = np.linalg.slogdet(covs)[1] + nees_world(errors - own @ values, covs)
+        return values, cov, float(0.5 * deviance.sum() + 0.5 * scales @ scales)
 
+    def fitted(kept: list[int]) -> Array:
+        def cost(scales: Array) -> float:
+            return solved(scales, kept)[2]
 
-def _least_squares(errors: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
-    """Weighted least-squares solution (k,) of errors = jacobian @ x, and its covariance (k, k)."""
-    cov = np.linalg.inv(np.einsum("nik,nij,njl->kl", jacobian, weight, jacobian))
-    return cov @ np.einsum("nik,nij,nj->k", jacobian, weight, errors), cov
+        bounds = [(-8.0, 8.0)] * len(initial)
+        return np.asarray(minimize(cost, np.zeros(len(initial)), method="L-BFGS-B", bounds=bounds).x)
 
-
-def _significant(errors: Array, jacobian: Array, weight: Array) -> tuple[dict[str, tuple[float, float]], list[int]]:
-    values, cov = _least_squares(errors, jacobian, weight)
-    sigmas = np.sqrt(np.diag(cov))
-    named = {n: (float(v), float(s)) for n, v, s in zip(_SYSTEMATIC, values, sigmas, strict=True)}
-    return named, np.flatnonzero(np.abs(values) > SIGNIFICANT * sigmas).tolist()
-
-
-def _fit_scales(errors: Array, floor: Array, basis: Array, start: Array) -> Array:
-    """(6,) log scales of the noise parameters, maximum a posteriori for Gaussian errors (N, 3) and a N(0, I) prior."""
-
-    def cost(scales: Array) -> float:
-        covs = floor + np.tensordot(np.exp(2.0 * scales), basis, 1)
-        return float(0.5 * (np.linalg.slogdet(covs)[1] + nees_world(errors, covs)).sum() + 0.5 * scales @ scales)
-
-    return np.asarray(minimize(cost, start, method="L-BFGS-B", bounds=[(-8.0, 8.0)] * len(start)).x)
+    values, cov, _ = solved(fitted([0, 1]), [0, 1])
+    systematic = dict(zip(_SYSTEMATIC, zip(values.tolist(), np.sqrt(np.diag(cov)).tolist(), strict=True), strict=True))
+    kept = [k for k, (value, sigma) in enumerate(systematic.values()) if abs(value) > SIGNIFICANT * sigma]
+    scales = fitted(kept)
+    noise = {name: s * float(np.exp(scale)) for (name, s), scale in zip(initial.items(), scales, strict=True)}
+    found = dict(zip((_SYSTEMATIC[k] for k in kept), solved(scales, kept)[0].tolist(), strict=True))
+    return merge(straight, {"motion": _rounded(noise), **_rounded(found)}), systematic
 
 
 def landmark_errors(
     samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config
 ) -> LandmarkErrors:
     """Errors of the observations of each sample against the nearest true `landmarks` (M, 2) (report eq. 2)."""
-    kinds, errors, covs, false = [], [], [], 0
+    kinds, errors, covs = [], [], []
     for sample in samples:
         true, _, _ = predictions(sample.truth.triple(), landmarks, np.zeros(len(landmarks), dtype=np.bool_))  # robot
         for observation in extract(sample.scan, assumed, config.features).observations:
             gaps = observation.z - true
             gap = gaps[np.argmin((gaps**2).sum(axis=1))] if len(gaps) else np.full(2, math.inf)
-            if math.hypot(*gap) > _GATE_M:
-                false += 1
-                continue
-            kinds.append(float(observation.kind))
-            errors.append(gap)
-            covs.append(observation.cov + _UNIT_SQ * np.eye(2))
-    return LandmarkErrors(np.array(kinds), np.array(errors).reshape(-1, 2), np.array(covs).reshape(-1, 2, 2), false)
+            if math.hypot(*gap) <= _GATE_M:  # a false observation has no true landmark nearby
+                kinds.append(float(observation.kind))
+                errors.append(gap)
+                covs.append(observation.cov + _UNIT_SQ * np.eye(2))
+    return LandmarkErrors(np.array(kinds), np.array(errors).reshape(-1, 2), np.array(covs).reshape(-1, 2, 2))
 
 
 def fit_laser(samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config) -> AssumedConfig:
@@ -218,32 +194,25 @@ def fit_laser(samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfi
     observations go into `landmark_floor_m`. Raises InputError for too few observations.
     """
 
-    def is_overconfident(changes: dict[str, Any]) -> bool:
-        found = landmark_errors(samples, landmarks, merge(assumed, changes), config)
-        return found.mean_nees > 2.0
+    def with_range(range_m: float, floor_m: float = 0.0) -> AssumedConfig:
+        return merge(assumed, {"laser": {"range_m": range_m}, "landmark_floor_m": floor_m})
 
-    def crossing(low: float, high: float, changes: Callable[[float], dict[str, Any]]) -> float:
-        """The value at which the observations stop being overconfident, by bisection on a logarithmic scale."""
+    def crossing(low: float, high: float, changed: Callable[[float], AssumedConfig]) -> AssumedConfig:
+        """Where the observations stop being overconfident, by bisection on a logarithmic scale."""
         for _ in range(_HALVINGS):
             middle = math.sqrt(low * high)
-            low, high = (middle, high) if is_overconfident(changes(middle)) else (low, middle)
-        return float(f"{high:.3g}")
-
-    def with_range(range_m: float) -> dict[str, Any]:
-        return {"laser": {"range_m": range_m}, "landmark_floor_m": 0.0}
+            is_over = landmark_errors(samples, landmarks, changed(middle), config).mean_nees > 2.0
+            low, high = (middle, high) if is_over else (low, middle)
+        return changed(float(f"{high:.3g}"))
 
     count = len(landmark_errors(samples, landmarks, assumed, config).errors)
     if count < FEWEST_SAMPLES:
-        raise InputError(
-            "scene",
-            f"found {count} observations of landmarks in {len(samples)} scans",
-            f"a place with at least {FEWEST_SAMPLES}",
-        )
+        found = f"found {count} observations of landmarks in {len(samples)} scans"
+        raise InputError("scene", found, f"a place with at least {FEWEST_SAMPLES}")
     widest = max(config.features.lines.threshold_m, 2.0 * _FINEST_M)
-    if not is_overconfident(with_range(widest)):
-        return merge(assumed, with_range(crossing(_FINEST_M, widest, with_range)))
-    floor = crossing(_FINEST_M, _GATE_M, lambda floor_m: {**with_range(widest), "landmark_floor_m": floor_m})
-    return merge(assumed, {**with_range(widest), "landmark_floor_m": floor})
+    if landmark_errors(samples, landmarks, with_range(widest), config).mean_nees <= 2.0:
+        return crossing(_FINEST_M, widest, with_range)
+    return crossing(_FINEST_M, _GATE_M, lambda floor_m: with_range(widest, floor_m))
 
 
 def _rounded(values: dict[str, float]) -> dict[str, float]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Kind
 from sixthsense.evaluation.calibrate import Calibration, as_partial_config, summary
@@ -73,18 +72,12 @@ def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
 
 
 def write_calibration(found: Calibration, config: Config, file: Path, title: str) -> None:
-    """Write the partial configuration, and the figure as a PNG of the same name; each file is replaced atomically.
-
-    Raises InputError if they cannot be written.
-    """
+    """Write the partial configuration, and the figure as a PNG of the same name; each file is replaced atomically."""
     import tomli_w
 
     head = [title, *summary(found)]
     text = "".join(f"# {line}\n" for line in head) + "\n" + tomli_w.dumps(as_partial_config(found, config))
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with whole(file) as written, whole(file.with_suffix(".png")) as drawn:
-            save_calibration(found, drawn, title)
-            written.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError("out", f"{file} cannot be written ({error.strerror})", "a new file") from None
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with whole(file) as written, whole(file.with_suffix(".png")) as drawn:
+        save_calibration(found, drawn, title)
+        written.write_text(text, encoding="utf-8")

@@ -49,13 +49,11 @@ def in_millimetres(ax: Any) -> None:
 def slider(draw: Callable[[Any], Any], values: Sequence[Any], start: Any, label: str) -> None:
     """Display `draw(start)` below a slider over `values` that draws again; without ipywidgets the picture alone.
 
-    Raises ValueError for a `start` that is none of the values. Needs IPython, as every notebook does.
+    Needs IPython, as every notebook does.
     """
     from IPython import display as showing
 
     display: Any = showing.display
-    if start not in values:
-        raise ValueError(f"start: found {start!r}, allowed: {', '.join(map(str, values))}")
     try:
         from ipywidgets import SelectionSlider
     except ImportError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,21 +17,9 @@ from sixthsense.evaluation.groups import Sample, differences, grouped, numbers, 
 from sixthsense.evaluation.measured_run import MAX_RUNS
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.summary import EFFECTIVE, pooled
+from sixthsense.figures import overtime
 from sixthsense.figures.canvas import in_millimetres, legend, legend_above
-from sixthsense.figures.overtime import (
-    AXIS_LABELS,
-    COMPONENTS,
-    draw_coverage,
-    draw_error,
-    draw_nees,
-    draw_nis,
-    draw_stages,
-    running_mean,
-    scale_nees,
-    style_of,
-)
 from sixthsense.figures.plot import CYCLE, MAP_WIDTH_IN, draw_exploration, draw_map, map_height, new_figure
-from sixthsense.record.store import RecordPart
 
 WIDTH_IN = 7.5
 """of most figures, which are legible at 500 pixels"""
@@ -109,7 +98,7 @@ def plot(
         curves = [Curve(name, samples) for name, samples in grouped(runs, by).items()]
     kind, known = KINDS[what], [curve for curve in curves if KINDS[what].has(curve)]
     if not known:
-        raise _lacking(what, runs)
+        raise InputError(what, f"found a run without {kind.data}", "a run that has it")
     rows, columns, height = kind.shape(known)
     if ax is not None:
         _on_axes(kind, known, list(np.ravel(ax)), over, len(known) if kind.per_run else rows * columns)
@@ -162,30 +151,15 @@ def _entitle(picture: Any, panels: Sequence[Any], kind: Kind, curves: Sequence[C
         picture.suptitle(runs[0].run.title if runs[0].run is not None else runs[0].name, fontsize=9.0)
 
 
-def _lacking(what: str, runs: Sequence[Sample]) -> InputError:
-    """The error of a figure whose data all runs lack."""
-    missing = [part for one in runs if one.run is not None for part in one.run.missing]
-    if what == "exploration" and RecordPart.GRID.value in missing:
-        return InputError(
-            what, f"found a folder without {RecordPart.GRID.value}", "ss.replay, which estimates it again"
-        )
-    return InputError(what, f"found a run without {KINDS[what].data}", "a run that has it")
-
-
-def _maps(curves: Sequence[Curve], panels: list[Any], _: Over) -> None:
-    _planes(curves, panels, draw_map)
-
-
-def _explorations(curves: Sequence[Curve], panels: list[Any], _: Over) -> None:
-    _planes(curves, panels, draw_exploration)
-
-
-def _planes(curves: Sequence[Curve], panels: list[Any], draw: Callable[[Any, Any], None]) -> None:
+def _planes(curves: Sequence[Curve], panels: list[Any], _: Over, draw: Callable[[Any, Any], None]) -> None:
     """One panel per run; panels of one scene share their limits."""
     for ax, curve in zip(panels, curves, strict=False):
         draw(ax, curve.trace)
     if len({curve.trace.config.scene for curve in curves}) == 1:
         _share(panels[: len(curves)], "xy")
+
+
+_maps, _explorations = (functools.partial(_planes, draw=draw) for draw in (draw_map, draw_exploration))
 
 
 def _share(panels: Sequence[Any], axes: str) -> None:
@@ -198,11 +172,11 @@ def _share(panels: Sequence[Any], axes: str) -> None:
 
 def _errors(curves: Sequence[Curve], panels: list[Any], over: Over) -> None:
     """Errors of x, y and heading in their bounds, a column per run; magnitudes on two panels, or one."""
-    if len(panels) == len(COMPONENTS) * len(curves):
-        for component in range(len(COMPONENTS)):
+    if len(panels) == len(overtime.COMPONENTS) * len(curves):
+        for component in range(len(overtime.COMPONENTS)):
             row = panels[component * len(curves) : (component + 1) * len(curves)]
             for k, (ax, curve) in enumerate(zip(row, curves, strict=True)):
-                draw_error(ax, curve.trace, component, CYCLE[k % len(CYCLE)], over)
+                overtime.draw_error(ax, curve.trace, component, CYCLE[k % len(CYCLE)], over)
                 if component == 0 and curve.name:
                     ax.annotate(curve.name, (0.01, 0.97), xycoords="axes fraction", va="top", fontsize="small")
                 ax.label_outer()
@@ -211,7 +185,7 @@ def _errors(curves: Sequence[Curve], panels: list[Any], over: Over) -> None:
     for ax, (quantity, label, scale) in zip(panels, _ERRORS, strict=False):
         for k, curve in enumerate(curves):
             _draw_spread(ax, curve, quantity, scale, over, k)
-        ax.set(xlabel=AXIS_LABELS[over], ylabel=label)
+        ax.set(xlabel=overtime.AXIS_LABELS[over], ylabel=label)
         ax.set_ylim(bottom=0.0)
         ax.label_outer()
 
@@ -220,13 +194,13 @@ def _draw_spread(ax: Any, curve: Curve, quantity: str, scale: float, over: Over,
     """Draw the median of an error over the runs and the band of 10 to 90 %; of one run it and its running mean."""
     values = scale * resampled(curve.errors(), quantity, PLACE[over])
     low, middle, high = (values.quantile(share, axis=1).to_numpy() for share in _QUANTILES)
-    style = style_of(k)
+    style = overtime.style_of(k)
     if len(curve.samples) > 1:
         ax.plot(values.index, middle, label=curve.label, **style)
         ax.fill_between(values.index, low, high, color=style["color"], alpha=0.18, linewidth=0.0)
     else:
         ax.plot(values.index, middle, color=style["color"], linewidth=0.6, alpha=0.4)
-        ax.plot(values.index, running_mean(middle), label=curve.label or "running mean", **style)
+        ax.plot(values.index, overtime.running_mean(middle), label=curve.label or "running mean", **style)
     ax.margins(x=0.0)
 
 
@@ -243,8 +217,8 @@ def _nees(curves: Sequence[Curve], panels: list[Any], over: Over) -> None:
             places, nees = known[PLACE[over]].to_numpy(), known["nees"].to_numpy()
         found.append(_worth(curve, [one["nees"].to_numpy() for one in frames]))
         drawn.append(nees)
-        draw_nees(panels[0], places, nees, found[-1], curve.label, style_of(k))
-    scale_nees(panels[0], drawn, found, min(len(curve.errors()) for curve in curves), over)
+        overtime.draw_nees(panels[0], places, nees, found[-1], curve.label, overtime.style_of(k))
+    overtime.scale_nees(panels[0], drawn, found, min(len(curve.errors()) for curve in curves), over)
 
 
 def _worth(curve: Curve, nees: Sequence[Any]) -> Consistency:
@@ -254,18 +228,18 @@ def _worth(curve: Curve, nees: Sequence[Any]) -> Consistency:
 def _nis(curves: Sequence[Curve], panels: list[Any], _: Over) -> None:
     """One panel per run: the band depends on the number of matched landmarks."""
     for k, (ax, curve) in enumerate(zip(panels, curves, strict=True)):
-        draw_nis(ax, curve.trace, curve.name, k)
+        overtime.draw_nis(ax, curve.trace, curve.name, k)
         ax.label_outer()
     _share(panels, "xy")
 
 
 def _stages(curves: Sequence[Curve], panels: list[Any], _: Over) -> None:
-    draw_stages(panels[0], [curve.samples[0].metrics for curve in curves], [curve.name for curve in curves])
+    overtime.draw_stages(panels[0], [curve.samples[0].metrics for curve in curves], [curve.name for curve in curves])
 
 
 def _coverage(curves: Sequence[Curve], panels: list[Any], _: Over) -> None:
     for k, curve in enumerate(curves):
-        draw_coverage(panels[0], curve.trace, curve.name, k)
+        overtime.draw_coverage(panels[0], curve.trace, curve.name, k)
 
 
 def _relative_errors(curves: Sequence[Curve], panels: list[Any], _: Over) -> None:
@@ -279,15 +253,11 @@ def _relative_errors(curves: Sequence[Curve], panels: list[Any], _: Over) -> Non
                 [np.quantile(row, _QUANTILES) if len(row) else 3 * [np.nan] for row in rows]
             ).T  # (3, lengths)
             bars = np.abs([low - middle, high - middle]) if len(curve.samples) > 1 else None
-            style = style_of(k) | {"marker": "o", "markersize": 4.5, "elinewidth": 1.8, "capsize": 3.0}
+            style = overtime.style_of(k) | {"marker": "o", "markersize": 4.5, "elinewidth": 1.8, "capsize": 3.0}
             ax.errorbar(places, middle, bars, label=curve.label or "root mean square", **style)
         ax.set_xticks(np.arange(len(RPE_LENGTHS_M)), [f"{length}" for length in RPE_LENGTHS_M])
         ax.set(xlabel="length of path [m]", ylabel=label)
         ax.set_ylim(0.0, 1.1 * ax.get_ylim()[1])
-
-
-def _has_truth(curve: Curve) -> bool:
-    return bool(curve.errors())
 
 
 def _in_three(curves: Sequence[Curve]) -> tuple[int, int, float]:
@@ -297,7 +267,7 @@ def _in_three(curves: Sequence[Curve]) -> tuple[int, int, float]:
 
 def _of_errors(curves: Sequence[Curve]) -> tuple[int, int, float]:
     is_detailed = len(curves) <= 3 and all(curve.run is not None for curve in curves)
-    return (len(COMPONENTS), len(curves), 1.9) if is_detailed else (2, 1, 2.5)
+    return (len(overtime.COMPONENTS), len(curves), 1.9) if is_detailed else (2, 1, 2.5)
 
 
 KINDS = {
@@ -306,25 +276,22 @@ KINDS = {
         _maps, lambda one: one.run is not None, "its record", _in_three, True,
     ),
     "error": Kind(
-        "Pose error", "Error of the pose at scans and at keyframes with the three-sigma bounds of the estimator; of "
-        "groups the median over the runs, and the band of 10 to 90 % of them.",
-        _errors, _has_truth, "the truth at keyframes", _of_errors,
+        "Pose error", "Error of the pose at scans and keyframes, with the three-sigma bounds of the estimator.",
+        _errors, Curve.errors, "the truth at keyframes", _of_errors,
     ),
     "rpe": Kind(
-        "Relative pose error by length of path",
-        "Relative pose error: that of the motion over every piece of path of a length, root mean square.",
+        "Relative pose error by length of path", "Root mean square error of the motion over each length of path.",
         _relative_errors, lambda one: len(numbers(one.samples, f"rpe_trans_m_{RPE_LENGTHS_M[0]}m")),
         "the truth over at least a metre of path", lambda _: (1, 2, 3.0),
     ),
     "nees": Kind(
-        "Consistency of the pose: NEES", "Consistency of the pose: normalised estimation error squared (NEES) at "
-        "keyframes with its running mean, 3 on average if consistent; of groups the average over the runs.",
+        "Consistency of the pose: NEES",
+        "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
         _nees, lambda one: any(found["nees"].notna().any() for found in one.errors()), "the truth at keyframes",
         lambda _: (1, 1, 3.2),
     ),
     "nis": Kind(
-        "Consistency of the matches: NIS",
-        "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
+        "Consistency of the matches: NIS", "Normalised innovation squared (NIS) per dof, 1 on average if consistent.",
         _nis, lambda one: one.run is not None and any(found.dof for found in one.trace.associations),
         "matched landmarks", lambda curves: (len(curves), 1, 2.0), True,
     ),
@@ -339,8 +306,7 @@ KINDS = {
         lambda _: (1, 1, 3.0),
     ),
     "exploration": Kind(
-        "Seen area, remaining frontiers, and plans over time",
-        "Exploration: seen area, remaining frontiers, and planned paths, pale to dark over time.", _explorations,
+        "Exploration", "Seen area, remaining frontiers, and planned paths, pale to dark over time.", _explorations,
         lambda one: one.run is not None and one.trace.config.task == "explore" and one.trace.plans and one.trace.grid,
         "an exploration", _in_three, True,
     ),

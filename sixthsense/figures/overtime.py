@@ -29,11 +29,8 @@ _DASHES = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1.5, 1.5)))
 
 def style_of(k: int) -> dict[str, Any]:
     """Colour, line and width of the k-th curve: the later, the thinner and dashed, so that equal curves show each."""
-    return {
-        "color": CYCLE[k % len(CYCLE)],
-        "linestyle": _DASHES[k % len(_DASHES)],
-        "linewidth": max(1.0, 2.4 - 0.3 * k),
-    }
+    color, dashes = CYCLE[k % len(CYCLE)], _DASHES[k % len(_DASHES)]
+    return {"color": color, "linestyle": dashes, "linewidth": max(1.0, 2.4 - 0.3 * k)}
 
 
 def running_mean(values: Array) -> Array:
@@ -55,11 +52,10 @@ def draw_tube(ax: Any, places: Array, error: Array, bound: Array, band: str, **s
 def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, over: Over = "time") -> None:
     """Draw the error of x, y or heading (component 0, 1, 2) at every scan within its ±3σ bounds, and at keyframes.
 
-    The trace must have truth. Metrics and tables count every scan. Bounds are at keyframes alone where the record has
-    no covariances of other scans.
+    The trace must have truth. Metrics and tables count every scan.
     """
     name, unit, scale = COMPONENTS[component]
-    poses, covs = key_poses(trace.key_estimates)
+    poses, _ = key_poses(trace.key_estimates)
 
     def error(found: Array, truths: Sequence[Array]) -> Array:
         off = (found - np.array(truths).reshape(-1, 3))[:, component]
@@ -67,9 +63,7 @@ def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, ove
 
     scans, keys = error(np.array(trace.estimates).reshape(-1, 3), trace.truths), error(poses, trace.key_truths)
     places, of_key = scan_places(trace, over), key_places(trace, over)
-    covs = scan_covariances(trace) if trace.since_covs else covs
-    bound = 3.0 * np.sqrt(np.maximum(covs[:, component, component], 0.0)) * scale
-    bound = bound if len(bound) == len(places) else np.interp(places, of_key, bound) if len(bound) else 0.0 * places
+    bound = 3.0 * np.sqrt(np.maximum(scan_covariances(trace)[:, component, component], 0.0)) * scale
     draw_tube(ax, places, scans, bound, "±3σ", color=color, label="scans")  # noqa: RUF001
     ax.plot(of_key, keys, color=color, linewidth=0.0, marker=".", markersize=3.0, label="keyframes")
     of_scans, of_keys = (_with_unit(_rms(one), unit) for one in (scans, keys))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +20,6 @@ from sixthsense.simulation.scene import BODY_M
 
 if TYPE_CHECKING:
     from sixthsense.core.picture import Picture
-
-Form = Literal["png", "svg", "pdf"]
 
 # Okabe and Ito's palette, which colour-blind people can distinguish.
 TRUTH = "#000000"
@@ -48,7 +46,6 @@ _LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 1.5, 11.0
 _DPI = 130  # of a bitmap
 _FRAME_IN = 1.0  # height of title, axis label and legend
 _MOST_BLOCKS = round(MAP_WIDTH_IN * _DPI)  # along a side of the drawn grid: pixels of a bitmap
-_MOST_MARKS, _MOST_CORNERS = 500, 20_000  # of a vector layer, and of a vector line
 
 
 def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
@@ -288,46 +285,15 @@ def new_figure(width_in: float, height_in: float) -> Picture:
 
 
 def save(figure: Any, file: Path | str) -> None:
-    """Write a figure as a bitmap, or as .svg or .pdf with reproducible bytes; a missing folder is made.
-
-    Large layers of vector graphics are rasterised, which keeps the file small.
-    """
-    from matplotlib import rc_context
-
+    """Write a figure as a bitmap, or as vector graphics for .svg and .pdf; a missing folder is made."""
     from sixthsense.core.picture import MARGIN_IN, Picture
 
     file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)
-    is_vector = file.suffix in (".svg", ".pdf")
-    if isinstance(figure, Picture) and not is_vector:
+    if isinstance(figure, Picture) and file.suffix not in (".svg", ".pdf"):
         figure.save_bitmap(file, _DPI)
-        return
-    options: dict[str, Any] = {"dpi": _DPI, "bbox_inches": "tight", "pad_inches": MARGIN_IN}
-    if is_vector:
-        for artist in figure.findobj(_is_large):
-            artist.set_rasterized(True)
-        options |= {"dpi": 200, "metadata": {"Date" if file.suffix == ".svg" else "CreationDate": None}}
-    # Journals require Type 42 fonts.
-    with rc_context({"pdf.fonttype": 42, "svg.hashsalt": "sixthsense"}):
-        figure.savefig(file, **options)
-
-
-def save_forms(figure: Any, file: Path, form: Form) -> list[Path]:
-    """Write a figure as a PNG, and beside it in another `form`, if that is another; the file in that form."""
-    others = [file.with_suffix(f".{form}")] if form != "png" else []
-    for one in (file, *others):
-        save(figure, one)
-    return others
-
-
-def _is_large(artist: Any) -> bool:
-    """Whether a layer has too many marks, or a line too many corners, for vector graphics."""
-    from matplotlib.collections import Collection
-    from matplotlib.lines import Line2D
-
-    if isinstance(artist, Collection):
-        return bool(max(len(artist.get_paths()), np.shape(artist.get_offsets())[0]) > _MOST_MARKS)
-    return isinstance(artist, Line2D) and np.size(artist.get_xdata()) > _MOST_CORNERS
+    else:
+        figure.savefig(file, dpi=_DPI, bbox_inches="tight", pad_inches=MARGIN_IN)
 
 
 def map_height(ax: Any, width_in: float) -> float:

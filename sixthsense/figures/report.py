@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import platform
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +12,11 @@ from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import NOTES, parse_toml
 from sixthsense.config.section import as_table
-from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import Sample, differing, flat
 from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
 from sixthsense.evaluation.results import as_text, html_of, side_by_side
 from sixthsense.figures.kinds import KINDS, plot
-from sixthsense.figures.plot import Form, save_forms
+from sixthsense.figures.plot import save
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,18 +76,17 @@ def page(title: str, verdicts: Sequence[Verdict], sections: Mapping[str, Sequenc
     return template.render(title=title, verdicts=verdicts, sections=shown, html_of=html_of)
 
 
-def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:
+def report(runs: Sequence[MeasuredRun], out: Path | str) -> list[Path]:
     """Write the figures and `report.html` into the folder `out`, for several runs also `metrics.csv`.
 
-    The folder is created if missing. `form` "svg" or "pdf" adds each figure as vector graphics. A figure whose data all
-    runs lack, such as errors without truth, is left out. Returns the written files. Raises InputError for no run, for
-    more than 12 runs, and for a damaged file of a run.
+    The folder is created if missing. A figure whose data all runs lack, such as errors without truth, is left out.
+    Returns the written files. Raises InputError for no run, for more than 12 runs, and for a damaged file of a run.
     """
     out = Path(out)
     names = numbered_names([run.name for run in runs])
     samples = [run.sample(name) for name, run in zip(names, runs, strict=True)]
-    drawn, files = _draw(samples, out, form)
-    table = side_by_side({one.name: one.metrics for one in samples})
+    drawn = list(_drawn(samples, out))
+    files, table = [one.file for one in drawn], side_by_side({one.name: one.metrics for one in samples})
     if len(runs) > 1:
         files.append(out / "metrics.csv")
         table[names].to_csv(files[-1])
@@ -100,11 +96,10 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
         "Figures": drawn,
         "Metrics": [as_text(table)],
         "Configuration": list(_configuration(labelled_runs)),
-        "Reproduction": [Text(_reproduction(*one)) for one in labelled_runs],
     }
     title = f"Runs compared: {', '.join(names)}" if len(runs) > 1 else runs[0].title
     verdicts = [verdict for one in labelled_runs for verdict in _verdicts(*one)]
-    return [*(one.file for one in drawn), *files, write_page(out / "report.html", page(title, verdicts, sections))]
+    return [*files, write_page(out / "report.html", page(title, verdicts, sections))]
 
 
 def write_page(file: Path, text: str) -> Path:
@@ -117,20 +112,17 @@ def write_page(file: Path, text: str) -> Path:
     return file
 
 
-def _draw(samples: Sequence[Sample], out: Path, form: Form) -> tuple[list[Drawn], list[Path]]:
-    """Write the figures for which there are data; the figures, and the files of vector graphics."""
-    drawn: list[Drawn] = []
-    files: list[Path] = []
-    for name in KINDS:
+def _drawn(samples: Sequence[Sample], out: Path) -> Iterator[Drawn]:
+    """Write the figures for which there are data."""
+    for name, kind in KINDS.items():
         try:
-            figure = plot(name, samples, None)
+            figure = plot(name, samples)
         except InputError as error:
             if error.where != name:
                 raise
             continue
-        drawn.append(Drawn(out / f"{name}.png", KINDS[name].caption))
-        files += save_forms(figure, drawn[-1].file, form)
-    return drawn, files
+        save(figure, out / f"{name}.png")
+        yield Drawn(out / f"{name}.png", kind.caption)
 
 
 def _verdicts(name: str, run: MeasuredRun) -> Iterator[Verdict]:
@@ -159,9 +151,9 @@ def _configuration(runs: Sequence[tuple[str, MeasuredRun]]) -> Iterator[pd.DataF
     import tomli_w
 
     tables = [as_table(run.trace.config) for _, run in runs]
-    settings, columns = list(map(flat_texts, tables)), [name for name, _ in runs]
+    settings, columns = list(map(flat, tables)), [name for name, _ in runs]
     if len(runs) == 1:
-        settings.append(flat_texts(as_table(Config())))
+        settings.append(flat(as_table(Config())))
         columns = ["this run", "default"]
     rows = {name: [fields.get(name, "none") for fields in settings] for name in differing(settings)}
     if rows:
@@ -171,17 +163,6 @@ def _configuration(runs: Sequence[tuple[str, MeasuredRun]]) -> Iterator[pd.DataF
         yield Text(tomli_w.dumps({**complete, **_notes(run)}), folded)
 
 
-def flat_texts(table: Mapping[str, Any]) -> dict[str, str]:
-    """Nested settings by dotted names, with values as on the command line."""
-
-    def text(value: Any) -> str:
-        if isinstance(value, bool):
-            return str(value).lower()
-        return " ".join(map(text, value)) if isinstance(value, (tuple, list)) else str(value)
-
-    return {name: text(value) for name, value in flat(table).items()}
-
-
 def _notes(run: MeasuredRun) -> dict[str, dict[str, Any]]:
     """The tables of config.toml that are not settings, such as versions; {} without a file, or for an invalid one."""
     try:
@@ -189,29 +170,3 @@ def _notes(run: MeasuredRun) -> dict[str, dict[str, Any]]:
     except (OSError, ValueError):
         return {}
     return {name: table[name] for name in NOTES if isinstance(table.get(name), dict)}
-
-
-def _reproduction(name: str, run: MeasuredRun) -> str:
-    """The commands that repeat a run, and the versions that produced it."""
-    lines, notes = [name] if name else [], _notes(run)
-    if run.folder is not None:
-        replayed, prior = dict(notes.get("replayed", {})), dict(notes.get("prior_map", {}))
-        logs = [str(replayed.pop(key)) for key in ("log", "merged_with") if key in replayed]
-        command = ("merge" if len(logs) > 1 else "replay" if logs else "live") if "replayed" in notes else "run"
-        digest = str(prior.pop("digest", ""))[:12]
-        prior = {"prior_map" if key == "name" else key: value for key, value in prior.items()}
-        options = _words({"config": run.folder / "config.toml"} | replayed | prior)
-        lines += [shlex.join(["sixthsense", command, *logs, *options]), "or, from the recorded sensor data:"]
-        lines.append(shlex.join(["sixthsense", "replay", str(run.folder), *_words(prior)]))
-        if prior:
-            lines.append(f"{prior.get('prior_map')} is the folder of the prior map ({digest})")
-    versions = notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
-    return "\n".join([*lines, f"run by {', '.join(f'{key} {version}' for key, version in versions.items())}"])
-
-
-def _words(options: Mapping[str, Any]) -> Iterator[str]:
-    """Options and their values as words of a command line; sigmas of 0, which are the default, are left out."""
-    for key, value in options.items():
-        if key != "pose_sigma" or any(value):
-            yield f"--{key.replace('_', '-')}"
-            yield from () if value is True else map(str, value if isinstance(value, list) else [value])

@@ -18,23 +18,7 @@ from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.evaluation import metrics
-from sixthsense.figures.plot import (
-    DOUBT,
-    ESTIMATE,
-    LANDMARK,
-    OBSERVATION,
-    ODOMETRY,
-    PLAN,
-    SEEN,
-    TRUTH,
-    WALKER,
-    WALL,
-    WALL_FOUND,
-    ellipse,
-    known_blocks,
-    landmarks_of,
-    walker_outlines,
-)
+from sixthsense.figures import plot
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.trace import STAGES, Trace
 
@@ -44,7 +28,8 @@ _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
 _FILE_TICK = timedelta(seconds=5.0)  # wall time between two writes to a file
 _BAND = "#999999"
 _STAGE_COLORS = (
-    "#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, OBSERVATION, PLAN, WALL_FOUND, LANDMARK, OBSERVATION
+    "#999999", plot.WALL_FOUND, plot.ESTIMATE, plot.ODOMETRY, plot.LANDMARK, plot.OBSERVATION, plot.PLAN,
+    plot.WALL_FOUND, plot.LANDMARK, plot.OBSERVATION,
 )  # fmt: skip
 
 
@@ -74,17 +59,19 @@ class Drawing:
         rr, scene = self._rr, trace.scene
         self._stream.send_blueprint(self._blueprint(trace))
         self._stream.log("map", rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
-        names = [(0, "unseen", (0, 0, 0, 0)), (_FREE, "free", _rgb(SEEN)), (_OBSTACLE, "obstacle", _rgb(OBSERVATION))]
+        free, obstacle = _rgb(plot.SEEN), _rgb(plot.OBSERVATION)
+        names = [(0, "unseen", (0, 0, 0, 0)), (_FREE, "free", free), (_OBSTACLE, "obstacle", obstacle)]
         self._stream.log("map/grid", rr.AnnotationContext(names), static=True)
         if scene is not None:
-            self._lines("map/true/walls", scene.walls, WALL, _THICK, static=True)
-        body = trace.radius_m * np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=1)
-        self._lines("map/robot/body", [body, np.array([[0.0, 0.0], [trace.radius_m, 0.0]])], TRUTH, _THICK, static=True)
-        self._series("plots/nees/pose", "NEES", ESTIMATE)
-        self._series("plots/nis/per_dof", "NIS per degree of freedom", ESTIMATE)
-        for plot in ("nees", "nis"):
+            self._lines("map/true/walls", scene.walls, plot.WALL, _THICK, static=True)
+        circle = trace.radius_m * np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=1)
+        body = [circle, np.array([[0.0, 0.0], [trace.radius_m, 0.0]])]
+        self._lines("map/robot/body", body, plot.TRUTH, _THICK, static=True)
+        self._series("plots/nees/pose", "NEES", plot.ESTIMATE)
+        self._series("plots/nis/per_dof", "NIS per degree of freedom", plot.ESTIMATE)
+        for kind in ("nees", "nis"):
             for end in ("low", "high"):
-                self._series(f"plots/{plot}/{end}", f"95 % band, {end}", _BAND)
+                self._series(f"plots/{kind}/{end}", f"95 % band, {end}", _BAND)
         for stage, color in zip(STAGES, _STAGE_COLORS, strict=True):
             self._series(f"plots/timing/{stage}", stage, color)
 
@@ -100,24 +87,24 @@ class Drawing:
         turn = rr.RotationAxisAngle(axis=[0.0, 0.0, 1.0], radians=pose.theta)
         self._stream.log("map/robot", rr.Transform3D(translation=[pose.x, pose.y, 0.0], rotation=turn))
         if live is not None and live.scan is not None:
-            self._points("map/scan", pose @ live.scan.returns_robot, ODOMETRY, 1.5)
+            self._points("map/scan", pose @ live.scan.returns_robot, plot.ODOMETRY, 1.5)
         if tick.truth is not None:
-            self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
+            self._points("map/true/robot", tick.truth.position[None], plot.TRUTH, 4.0)
         if tick.walkers is not None:
-            self._lines("map/true/walkers", walker_outlines(tick.walkers), WALKER, _THICK)
+            self._lines("map/true/walkers", plot.walker_outlines(tick.walkers), plot.WALKER, _THICK)
 
     def features(self, trace: Trace) -> None:
-        """Send the features of the last keyframe and the 95 % ellipse of the pose after it."""
+        """Send the features of the last keyframe and the 95 % plot.ellipse of the pose after it."""
         estimate, live = trace.key_estimates[-1], trace.live
-        outline = ellipse(estimate.pose.position, estimate.pose_cov[:2, :2])
-        self._lines("map/pose", [outline], ESTIMATE, _THICK)
+        outline = plot.ellipse(estimate.pose.position, estimate.pose_cov[:2, :2])
+        self._lines("map/pose", [outline], plot.ESTIMATE, _THICK)
         if live is None or live.features is None:
             return
         points = np.array(
             [observation.z for observation in live.features.observations if not observation.is_wall]
         ).reshape(-1, 2)
-        self._lines("map/features/walls", estimate.pose @ live.features.walls, WALL_FOUND, 3.0)
-        self._points("map/features/points", estimate.pose @ points, WALL_FOUND, 5.0)
+        self._lines("map/features/walls", estimate.pose @ live.features.walls, plot.WALL_FOUND, 3.0)
+        self._points("map/features/points", estimate.pose @ points, plot.WALL_FOUND, 5.0)
 
     def plots(self, trace: Trace) -> None:
         """Send NEES, NIS and stage times of the last keyframe."""
@@ -135,7 +122,7 @@ class Drawing:
 
     def plan(self, path: Array) -> None:
         """Send a planned path (N, 2)."""
-        self._lines("map/plan", [path], PLAN, _THICK)
+        self._lines("map/plan", [path], plot.PLAN, _THICK)
 
     def map(self, trace: Trace, has_changed: bool = True) -> None:
         """Send the grid and the frontiers, if the grid has changed; the landmarks and the path so far."""
@@ -143,10 +130,10 @@ class Drawing:
             self._grid(trace)
         self._landmarks(trace)
         driven = np.array([estimate.pose.position for estimate in trace.key_estimates]).reshape(-1, 2)
-        self._lines("map/driven", [driven], ESTIMATE, _THICK)
+        self._lines("map/driven", [driven], plot.ESTIMATE, _THICK)
         self._doubts(trace)
         if trace.key_truths:
-            self._lines("map/true/driven", [np.array(trace.key_truths)[:, :2]], TRUTH, _THIN)
+            self._lines("map/true/driven", [np.array(trace.key_truths)[:, :2]], plot.TRUTH, _THIN)
 
     def flush(self, timeout_s: float) -> None:
         """Wait until all data is sent, or the viewer is gone."""
@@ -160,7 +147,7 @@ class Drawing:
         self._stream.disconnect()
 
     def _grid(self, trace: Trace) -> None:
-        grid, known = trace.draw_map(), known_blocks(trace)
+        grid, known = trace.draw_map(), plot.known_blocks(trace)
         if known is None or grid is None:
             return
         part, (left, _, bottom, _) = known
@@ -172,14 +159,14 @@ class Drawing:
             region = trace.config.region or trace.scene.region
             outside_m, at = trace.config.explore.margin_m, np.array(trace.estimates[-1])[:2]
             frontiers = frontier_points(grid, cell_m, region, outside_m, at, trace.radius_m)
-            self._points("map/frontiers", frontiers, TRUTH, 1.5)
+            self._points("map/frontiers", frontiers, plot.TRUTH, 1.5)
 
     def _landmarks(self, trace: Trace) -> None:
-        points, covs, extents = landmarks_of(trace)
-        outlines = [ellipse(mean, cov, 24) for mean, cov in zip(points, covs, strict=True)]
-        self._points("map/landmarks/points", points, LANDMARK, 3.0)
-        self._lines("map/landmarks/ellipses", outlines, LANDMARK, _THIN)
-        self._lines("map/landmarks/walls", extents, LANDMARK, _THICK)
+        points, covs, extents = plot.landmarks_of(trace)
+        outlines = [plot.ellipse(mean, cov, 24) for mean, cov in zip(points, covs, strict=True)]
+        self._points("map/landmarks/points", points, plot.LANDMARK, 3.0)
+        self._lines("map/landmarks/ellipses", outlines, plot.LANDMARK, _THIN)
+        self._lines("map/landmarks/walls", extents, plot.LANDMARK, _THICK)
 
     def _doubts(self, trace: Trace) -> None:
         """Send what speaks against the map, where it is to be seen; without a place of its own beside the robot."""
@@ -191,7 +178,7 @@ class Drawing:
             told = told or [(here, str(verdict))]
             places, labels = np.array([place for place, _ in told]), [words for _, words in told]
         radius = self._rr.Radius.ui_points(8.0)
-        self._stream.log("map/doubts", self._rr.Points2D(places, labels=labels, colors=_rgb(DOUBT), radii=radius))
+        self._stream.log("map/doubts", self._rr.Points2D(places, labels=labels, colors=_rgb(plot.DOUBT), radii=radius))
 
     def _points(self, path: str, points: Array, color: str, size: float) -> None:
         radius = self._rr.Radius.ui_points(size)
@@ -205,9 +192,9 @@ class Drawing:
     def _series(self, path: str, name: str, color: str) -> None:
         self._stream.log(path, self._rr.SeriesLines(colors=_rgb(color), names=name), static=True)
 
-    def _scalars(self, plot: str, value: float, band: tuple[float, float], name: str) -> None:
+    def _scalars(self, where: str, value: float, band: tuple[float, float], name: str) -> None:
         for path, number in ((name, value), ("low", band[0]), ("high", band[1])):
-            self._stream.log(f"{plot}/{path}", self._rr.Scalars(number))
+            self._stream.log(f"{where}/{path}", self._rr.Scalars(number))
 
     def _blueprint(self, trace: Trace) -> Any:
         """The layout: the map, and the plots beside it; below it in a narrow window."""
@@ -217,20 +204,17 @@ class Drawing:
         if trace.scene is not None:
             x0, y0, x1, y1 = trace.config.region or trace.scene.region
             bounds = rrb.VisualBounds2D(x_range=[x0 - 0.5, x1 + 0.5], y_range=[-y1 - 0.5, -y0 + 0.5])
-        plane = rrb.Spatial2DView(
-            origin="/", contents="/map/**", name="map", background=[255, 255, 255], visual_bounds=bounds
-        )
+        style: dict[str, Any] = {"background": [255, 255, 255], "visual_bounds": bounds}
+        plane = rrb.Spatial2DView(origin="/", contents="/map/**", name="map", **style)
         titles = {
             "nees": "Pose NEES, 95 % band",
             "nis": "NIS per degree of freedom, 95 % band",
             "timing": "Time of each stage of a keyframe, ms",
         }
-        plots = [
-            rrb.TimeSeriesView(
-                origin=f"/plots/{plot}", name=title, plot_legend=rrb.PlotLegend(visible=plot == "timing")
-            )
-            for plot, title in titles.items()
-        ]
+        plots = []
+        for kind, title in titles.items():
+            legend = rrb.PlotLegend(visible=kind == "timing")
+            plots.append(rrb.TimeSeriesView(origin=f"/plots/{kind}", name=title, plot_legend=legend))
         # A grid without a number of columns takes as many as its window has room for.
         layout = rrb.Grid(plane, rrb.Vertical(*plots), column_shares=[3.0, 2.0])
         # Follow the latest data until the user moves the time cursor.

@@ -147,25 +147,3 @@ def test_a_trajectory_with_a_header_or_in_the_plane_has_the_same_poses(head, sep
     assert np.array_equal(stamps, STAMPS_NS)
     assert np.allclose(found.positions, true.positions) and np.allclose(found.orientations, true.orientations)
     assert any(f"1 of {N + 1} lines left out, the first: line {N + 1 + len(head)}" in note for note in notes)
-
-
-def test_stamps_are_in_the_column_that_the_header_names(tmp_path):
-    rows = enumerate(zip(STAMPS_NS.tolist(), TRUTH.tolist(), strict=True))
-    lines = [f"{k},{stamp},{x!r},{y!r},{theta!r}" for k, (stamp, (x, y, theta)) in rows]
-    (tmp_path / "t.csv").write_text("\n".join(["num,t,x,y,theta", *lines]) + "\n")
-    stamps, poses = read_trajectory(tmp_path / "t.csv", [])
-    assert np.array_equal(stamps, STAMPS_NS) and np.array_equal(poses, TRUTH)
-
-
-@pytest.mark.parametrize(("text", "said"), [
-    ("1 0 0 1 0 1 0 0 2 0 0 1\n", "line 1: found 12 fields, as those of KITTI, which have no stamps, allowed: 8"),
-    ("# x y\n1 2 3\n", "line 2: found 3 fields, allowed: 8 (stamp x y z qx qy qz qw), 4 (stamp x y theta)"),
-    ("VERTEX_SE2 0 1 2 3\n", "found a graph of poses, which has no stamps, allowed: a trajectory with stamps"),
-    ("\ufeff1 2 3 4".encode("utf-16-le").decode("latin1"), "found text of 16 bits a letter (UTF-16), allowed: UTF-8"),
-    ("1 2 3 4 0 0 0 0\n", "line 1: found a quaternion that is zero, allowed: a rotation"),
-])  # fmt: skip
-def test_what_is_no_trajectory_is_named_in_one_line(text, said, tmp_path, complaint):
-    file, truth = tmp_path / "a.txt", tum(tmp_path / "truth.tum")
-    file.write_bytes(text.encode("latin1"))
-    spread = covariances(tmp_path / "c.txt")
-    assert said in complaint("audit", truth, "--covariance", spread, "--truth", file)

@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.auditing.pairing import time_offset
-from sixthsense.auditing.poses import poses_from
 
 N = 7
 SEEDS = st.integers(0, 2**31)
@@ -210,52 +208,3 @@ def test_the_truth_between_two_poses_is_on_the_line_and_the_great_circle_between
     found = ss.audit((at, estimate, one.covs[:-1]), (one.stamps, one.truth)).runs[0]
     expected = [error(e, motion(t, p)) for e, t, p in zip(estimate, turns, places, strict=True)]
     np.testing.assert_allclose(found.error, expected, atol=1e-6)
-
-
-@few
-@given(SEEDS, st.booleans())
-def test_files_of_tum_keep_stamps_to_the_nanosecond_and_all_21_numbers_of_a_covariance(
-    tmp_path_factory, seed, shuffled
-):
-    one, rng = drawn(seed, 3), np.random.default_rng(seed)
-    stamps = 1_700_000_000_123_456_789 + np.cumsum(rng.integers(200_000_001, 400_000_000, N))
-    folder = tmp_path_factory.mktemp("tum")
-
-    def written(name, rows):
-        lines = [
-            " ".join([f"{t // 10**9}.{t % 10**9:09d}", *map(repr, row)])
-            for t, row in zip(stamps.tolist(), rows, strict=True)
-        ]
-        order = rng.permutation(N) if shuffled else range(N)
-        (folder / name).write_text("".join(f"{lines[k]}\n" for k in order))
-        return folder / name
-
-    def tum(poses):
-        return np.column_stack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat()]).tolist()
-
-    beside = written("covs.txt", [cov[np.triu_indices(6)].tolist() for cov in one.covs])
-    found = ss.audit(written("e.tum", tum(one.estimate)), written("t.tum", tum(one.truth)), covariance=beside).runs[0]
-    assert found.stamps_ns.tolist() == stamps.tolist()
-    np.testing.assert_allclose(found.cov, one.covs)
-    np.testing.assert_allclose(found.nees, one.audit().runs[0].nees, rtol=1e-6)
-
-
-def test_the_sigma_of_a_time_offset_is_the_spread_of_the_offsets_that_are_found():
-    """A clock that is late by 83 ms, on a circle at 0.8 m/s; the errors are drawn anew each time."""
-    stamps = 0.1 * np.arange(400) + 5.0
-    cov = np.diag([0.05, 0.04, 0.02]) ** 2
-
-    def circle(times):
-        angle = 0.2 * times + 0.3
-        return np.column_stack([4.0 * np.sin(angle), 1.0 - 4.0 * np.cos(angle), angle])
-
-    def poses_of(times, poses, covs=None):
-        return poses_from("drawn", np.round(1e9 * times).astype(np.int64), poses, covs)
-
-    found = []
-    for seed in range(16):
-        error = np.random.default_rng(seed).multivariate_normal(np.zeros(3), cov, 400)
-        poses = poses_of(stamps, circle(stamps + 0.083) + error, np.broadcast_to(cov, (400, 3, 3)))
-        found.append(time_offset(poses, poses_of(stamps, circle(stamps)), 0.5, "none", "world"))
-    z = [(offset.seconds - 0.083) / offset.sigma_s for offset in found]
-    assert 0.35 < np.mean(np.square(z)) < 2.2  # chi-square with 16 degrees of freedom, 99.9 %

@@ -20,30 +20,6 @@ def notes(covs, poses=TRUTH + ERROR, **options):
     return [note for note in found if note.startswith("cannot be right")]
 
 
-def spatial(order):
-    covs = np.zeros((N, 6, 6))
-    rows = {"translation": (0, 1, 5), "rotation": (3, 4, 2)}[order]
-    covs[np.ix_(range(N), rows, rows)] = COV
-    half = 0.5 * (TRUTH + ERROR)[:, 2]
-    zero = np.zeros(N)
-    poses = np.column_stack([(TRUTH + ERROR)[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
-    return poses, covs
-
-
-def test_a_heading_less_certain_than_an_unknown_one_is_told_at_the_value_where_it_begins():
-    scale = np.diag([1.0, 1.0, 180.0 / np.pi])
-    (note,) = notes(np.broadcast_to(np.diag([0.1, 0.1, 1.82]) ** 2, (N, 3, 3)))
-    assert "300 of 300" in note and "in degrees" in note
-    assert notes(np.broadcast_to(np.diag([0.1, 0.1, 1.81]) ** 2, (N, 3, 3))) == []
-    assert "in degrees" in (notes(np.broadcast_to(scale @ (25.0 * COV) @ scale, (N, 3, 3))))[0]
-
-
-def test_a_robot_on_a_floor_with_the_rotation_first_is_told():
-    poses, covs = spatial("rotation")
-    with pytest.raises(InputError):  # x and y have no variance at all
-        ss.audit((STAMPS, poses, covs), (STAMPS, TRUTH))
-
-
 def test_the_exactly_known_pose_at_which_a_map_begins_is_no_fault_and_a_later_one_is():
     covs = np.array(np.broadcast_to(COV, (N, 3, 3)))
     covs[0] = 0.0

@@ -70,14 +70,6 @@ def test_both_numbers_are_those_of_plain_sums_over_pairs_of_lags():
     assert effective_number(nees[:1], errors(0.0, 3)) == effective_samples(nees[:1])
 
 
-def test_whitened_errors_have_the_square_of_the_errors():
-    rng = np.random.default_rng(5)
-    root, error = rng.uniform(-1.0, 1.0, (9, 3, 3)) + 1.5 * np.eye(3), rng.normal(0.0, 2.0, (9, 3))
-    cov = root @ root.transpose(0, 2, 1)
-    white = [np.linalg.solve(np.linalg.cholesky(one), e) for one, e in zip(cov, error, strict=True)]
-    assert whitened_errors(error, cov) == pytest.approx(np.array(white), rel=1e-5)
-
-
 @pytest.mark.parametrize(
     ("nees", "samples", "outcome"),
     [

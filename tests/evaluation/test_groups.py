@@ -6,7 +6,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.config.errors import InputError
-from sixthsense.evaluation.groups import Sample, differences, grouped, numbers, resampled, table_of, usual_grouping
+from sixthsense.evaluation.groups import Sample, grouped, numbers, resampled, table_of, usual_grouping
 
 
 def curve(values, step_s=1.0):
@@ -66,10 +66,3 @@ def test_a_metric_of_a_group_is_of_the_runs_that_have_it_and_finite():
     assert numbers(samples, "plans").tolist() == [3.0, 4.5]
     frame = table_of([*samples, sample({"ate_rmse_m": 0.25})])
     assert frame.attrs["units"] == {"plans": "", "ate_rmse_m": "m"} and frame["seed"].tolist() == [0, 1, 2, 3, 4, 0]
-
-
-def test_a_title_has_what_differs_with_the_number_of_its_values_and_what_is_the_same():
-    rows = [sample(seed=k, estimator=name).fields for k, name in ((2, "ekf"), (3, "isam2"), (4, "isam2"))]
-    told = "same: block, landmarks, default, astar, explore"
-    assert differences(rows) == f"differs: estimator (2), seed (3) — {told}"
-    assert differences(rows[:1]) == "same: block, ekf, landmarks, default, astar, explore, seed 2"

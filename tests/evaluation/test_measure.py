@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from made_run import CARRIED, CORNERS, FIRST_KEY, LASER, SCANS, UNDEFINED, WALLS, made_run, matrix
+from made_run import CARRIED, CORNERS, FIRST_KEY, SCANS, UNDEFINED, made_run, matrix
 from scipy.linalg import logm
 
 from sixthsense.config import merge
@@ -108,6 +108,8 @@ def test_errors_against_relations_are_those_of_the_final_poses_at_the_relations_
 def test_the_nees_is_that_of_each_keyframe_of_full_rank_in_the_world_and_in_the_group(found):
     nees = [squared(*one) for one in key_errors(TRACE.key_estimates)]
     assert found["pose_nees_world_mean"] == pytest.approx(np.mean(nees))
+    whole = consistency([tuple(map(np.array, zip(*key_errors(TRACE.key_estimates), strict=True)))])
+    assert found["pose_nees_effective_samples"] == pytest.approx(whole.samples)
     invariant = []
     for one, truth in list(zip(TRACE.key_estimates, TRACE.key_truths, strict=True))[UNDEFINED:]:
         log, place = np.real(logm(matrix(one.pose.array()) @ np.linalg.inv(matrix(truth)))), one.pose
@@ -115,13 +117,6 @@ def test_the_nees_is_that_of_each_keyframe_of_full_rank_in_the_world_and_in_the_
         invariant.append(squared(error, one.pose_cov))
     assert found["pose_nees_invariant_mean"] == pytest.approx(np.mean(invariant))
     assert abs(np.mean(invariant) - np.mean(nees)) > 1e-3
-
-
-def test_the_effective_samples_are_those_of_the_nees_and_of_the_whitened_errors_with_the_heading_wrapped(found):
-    errors, covs = map(np.array, zip(*key_errors(TRACE.key_estimates), strict=True))
-    expected = consistency([(errors, covs)])
-    assert found["pose_nees_effective_samples"] == pytest.approx(expected.samples)
-    assert expected.samples < 0.8 * len(errors)
 
 
 def test_the_nis_is_per_degree_of_freedom_and_the_discarded_are_a_share_of_all_observations(found):
@@ -146,40 +141,8 @@ def test_landmarks_are_judged_by_the_side_of_a_wall_that_was_seen_and_by_points_
     assert found["landmark_rmse_m"] == pytest.approx(rms(nearest[:3]))
 
 
-def visible(poses, centres):
-    """(N,) whether any laser sees a place: within range and field of view, no wall between, by cross products."""
-    seen = np.zeros(len(centres), dtype=bool)
-    for pose in poses:
-        laser = matrix(pose) @ matrix(LASER["mount"])
-        off = (centres - laser[:2, 2]) @ laser[:2, :2]
-        sees = (np.hypot(*off.T) < LASER["max_range"]) & (np.abs(np.arctan2(off[:, 1], off[:, 0])) < LASER["fov"] / 2)
-        for start, end in WALLS:
-
-            def side(a, b, c):
-                return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
-                    c[..., 0] - a[..., 0]
-                )
-
-            crosses = side(start, end, centres) * side(start, end, laser[:2, 2]) < 0.0
-            sees &= ~(crosses & (side(laser[:2, 2], centres, start) * side(laser[:2, 2], centres, end) < 0.0))
-        seen |= sees
-    return seen
-
-
-def test_the_coverage_is_the_share_of_the_visible_area_that_the_laser_on_its_mount_has_seen(found):
-    area, shares = coverage_of(TRACE)
-    rows, cols = np.nonzero(area.mask)
-    centres = np.column_stack(
-        [area.origin[0] + (cols + 0.5) * area.cell_m, area.origin[1] + (rows + 0.5) * area.cell_m]
-    )
-    assert area.square_metres == pytest.approx(7.4 * 4.4 - 0.1 * 1.2, rel=0.01)  # of the room, but for cells at walls
-    assert centres.min(axis=0) == pytest.approx([-1.23, 0.47], abs=0.03)
-    for scans in (1, 12, 30):
-        assert shares[scans - 1] == pytest.approx(visible(TRACE.truths[:scans], centres).mean(), rel=0.05)
-    assert found["coverage"] == shares[-1] > shares[29]
-
-
 def test_counts_areas_and_times_are_those_of_the_record(found):
+    assert found["coverage"] == coverage_of(TRACE)[1][-1]
     expected = {
         "outcome": "explored in part", "collisions": 0, "touches_by_robot": 2, "touches_by_walkers": 5,
         "places_left": 2, "area_left_m2": 0.7 + 1.6, "landmarks": 7, "loop_closures_found": 14,
@@ -197,13 +160,6 @@ def test_counts_areas_and_times_are_those_of_the_record(found):
     assert found["scan_ms_p50"] == pytest.approx((ms[10] + ms[11]) / 2)
     assert found["scan_ms_p99"] == pytest.approx(ms[20] + 0.79 * (ms[21] - ms[20]))  # 0.99 of 21 steps is 20.79
     assert measure(dataclasses.replace(TRACE, outcome="collided"))["collisions"] == 1
-
-
-def test_estimated_parameters_have_their_own_keys(found):
-    names = ("wheel_forward_scale_error", "wheel_turn_scale_error", "wheel_drift_rad_per_m")
-    assert [found[key] for key in names] == TRACE.wheels[0].tolist()
-    names = ("sensor_bearing_scale_error", "sensor_centre_tangent")
-    assert [found[key] for key in names] == TRACE.sensor[0].tolist()
 
 
 def test_the_home_error_is_of_an_exploration_that_came_home_and_the_goal_error_of_a_drive_to_a_goal(found):
@@ -272,17 +228,3 @@ def test_a_trajectory_has_a_row_per_keyframe():
     own, at_keys = curves(TRACE).to_records(), [TRACE.stamps_ns.index(stamp) for stamp in TRACE.key_stamps_ns]
     of_keys = [values[at_keys] for values in (own.time_s, own.distance_m, own.nees)]
     np.testing.assert_allclose(frame[["time_s", "distance_m", "nees"]].T, of_keys, rtol=1e-12)
-
-
-def test_landmarks_have_what_their_kind_has():
-    frame, final = MeasuredRun("made", TRACE).landmarks, TRACE.final
-    assert frame.index.tolist() == [12, 14, 13, 15, 16, 18, 19]
-    assert frame["kind"].tolist() == ["wall", "wall", "end", "wall", "end", "end", "end"]
-    assert frame["observations"].tolist() == [3 + i for i in frame.index]
-    sigmas = np.sqrt(np.diag(TRACE.joint_cov)[3:]).reshape(7, 2)
-    for rows, names in ((final.walls, ["alpha", "d"]), (~final.walls, ["x", "y"])):
-        np.testing.assert_array_equal(frame.loc[rows, names], final.landmarks[rows])
-        np.testing.assert_allclose(frame.loc[rows, [f"sigma_{name}" for name in names]], sigmas[rows])
-        assert frame.loc[~rows, names].isna().all(axis=None)
-    ends = [TRACE.records[i].extent.ravel() for i in (12, 14, 15)]
-    np.testing.assert_array_equal(frame.loc[[12, 14, 15], ["from_x", "from_y", "to_x", "to_y"]], ends)

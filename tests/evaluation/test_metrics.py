@@ -10,6 +10,7 @@ from sixthsense.evaluation.metrics import (
     full_rank_from,
     match_landmarks,
     nees_band,
+    nees_landmarks,
     true_landmarks,
 )
 
@@ -73,3 +74,10 @@ def test_true_landmarks_are_ends_corners_and_crossings_but_not_joints_of_a_strai
         assert len(back) == len(expected)
         gaps = np.linalg.norm(back[:, None] - np.array(expected)[None], axis=2)
         assert gaps.min(axis=0).max() < 1e-3
+
+
+def test_the_angle_of_a_wall_is_wrapped_and_the_coordinate_of_a_point_is_not():
+    estimate = np.array([[math.pi - 0.01, 2.0], [math.pi, 2.0]])
+    truth = np.array([[-math.pi + 0.01, 2.0], [-math.pi, 2.0]])
+    found = nees_landmarks(estimate, truth, np.array([True, False]), np.stack([np.eye(2) * 1e-4] * 2))
+    np.testing.assert_allclose(found, [4.0, 4.0e4 * math.pi**2], rtol=1e-3)

@@ -51,17 +51,6 @@ def test_a_nis_of_the_tuning_of_another_robot_names_what_to_do(nis: float, size:
     assert ("assumed noise" in told) == bool(size) and size in told
 
 
-@pytest.mark.parametrize(("changes", "label", "told"), [
-    ({"pose_nees_effective_samples": 29.0}, "consistency", "too short to tell: NEES 2.90, 2.18 to 3.95 is consistent"),
-    ({"outcome": "goal reached", "goal_error_m": 0.0074}, "outcome", "it stands 7.4 mm from it"),
-    ({"outcome": "explored in part"}, "outcome", "some places are left unseen; coverage 99.8 %"),
-    ({"ate_rmse_m": 0.999, "dead_reckoning_ate_rmse_m": 1.004}, "accuracy", "99.9 cm RMS; odometry alone 1.00 m"),
-    ({"scan_ms_p50": 10.4, "scan_ms_p99": 9.96}, "speed", "10 ms a keyframe, 10 ms at the 99th percentile"),
-])  # fmt: skip
-def test_limits_units_and_outcomes_of_a_summary(changes, label, told):
-    assert told in run_summary(EXPLORED | changes)[label]
-
-
 def test_a_table_of_runs_has_means_with_intervals_of_student_bands_and_outcomes_by_group():
     """Rows of two groups in mixed order; of the effective samples the smaller of pooled and summed ones counts."""
     rng = np.random.default_rng(6)

@@ -12,16 +12,11 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.core.landmarks import Kind
-from sixthsense.evaluation.calibrate import Calibration
-from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import curves, scan_covariances
 from sixthsense.evaluation.groups import Sample
-from sixthsense.evaluation.noise import LandmarkErrors, PropagationErrors
-from sixthsense.figures import calibration, plot
-from sixthsense.figures.canvas import in_millimetres
+from sixthsense.figures import plot
 from sixthsense.figures.kinds import plot as draw
-from sixthsense.figures.overtime import draw_coverage, draw_error, draw_nis, running_mean
+from sixthsense.figures.overtime import draw_error, draw_nis, running_mean
 from sixthsense.figures.run import Run
 
 TRACE = made_run()
@@ -69,10 +64,6 @@ def test_errors_are_drawn_in_three_sigmas_in_the_unit_of_their_axis(ax, componen
     assert ax.texts[0].get_text() == f"RMS {of_scans}, keyframes {of_keys}"
     bound = 3.0 * scale * np.sqrt(scan_covariances(TRACE)[:, component, component])
     assert (edges(ax)[:, 1].min(), edges(ax)[:, 1].max()) == pytest.approx((-max(bound), max(bound)))
-    ax.clear()
-    draw_error(ax, dataclasses.replace(TRACE, since_covs=[]), component, over=over)
-    bound = [3.0 * scale * math.sqrt(estimate.pose_cov[component, component]) for estimate in TRACE.key_estimates]
-    assert (edges(ax)[:, 1].min(), edges(ax)[:, 1].max()) == pytest.approx((-max(bound), max(bound)))
     assert f"[{'°' if component == 2 else 'm'}]" in ax.get_ylabel()
 
 
@@ -110,14 +101,6 @@ def test_the_nis_is_drawn_per_degree_of_freedom_in_the_band_of_each_keyframe(ax)
     np.testing.assert_allclose(ax.get_lines()[1].get_ydata(), expected)
     outline = np.concatenate([path.vertices[:, 1] for path in ax.collections[0].get_paths()])
     assert (outline.min(), outline.max()) == pytest.approx((chi2.ppf(0.025, 2) / 2, chi2.ppf(0.975, 2) / 2))
-
-
-def test_the_seen_share_is_drawn_in_per_cent_over_seconds(ax):
-    draw_coverage(ax, TRACE)
-    area, shares = coverage_of(TRACE)
-    drawn = line(ax, f"{area.square_metres:.0f} m² visible")
-    np.testing.assert_allclose(drawn.get_ydata(), 100.0 * shares)
-    np.testing.assert_allclose(drawn.get_xdata(), 1e-9 * (np.array(TRACE.stamps_ns) - TRACE.stamps_ns[0]))
 
 
 def group(values, metrics=None, nees=None, name="g"):
@@ -160,41 +143,6 @@ def test_relative_errors_are_drawn_at_the_median_with_the_distances_to_ten_and_n
     assert limits == pytest.approx(7.0 * np.outer([1, 2, 5], [0.12, 0.36]))
 
 
-def test_equal_curves_of_a_comparison_differ_in_colour_line_or_width(ax):
-    samples = [sample for name in "abcdef" for sample in group([2.0], name=name)]
-    draw("error", samples, "run", ax)
-    means = [one for one in ax.get_lines() if not str(one.get_label()).startswith("_")]
-    assert [one.get_label() for one in means] == list("abcdef")
-    styles = [(one.get_color(), one.get_linestyle(), one.get_linewidth()) for one in means]
-    assert len(set(styles)) == 6 and [width for *_, width in styles] == sorted((w for *_, w in styles), reverse=True)
-
-
-def test_a_calibration_is_drawn_with_second_moments_about_zero_and_whitened_errors():
-    rng = np.random.default_rng(3)
-    kinds = np.where(np.arange(60) % 3, float(Kind.CORNER), float(Kind.END))
-    root = np.array([[0.004, 0.0, 0.0], [0.002, 0.003, 0.0], [0.001, -0.002, 0.006]])
-    covs, drawn = np.tile(root @ root.T, (60, 1, 1)), []
-    for scale in (2.0, 1.1):
-        errors = scale * rng.normal(0.001, 0.003, (60, 3))
-        drawn.append((PropagationErrors(errors, covs), LandmarkErrors(kinds, errors[:, :2], covs[:, :2, :2], 0)))
-    found = Calibration(None, {}, (drawn[0][0], drawn[1][0]), (drawn[0][1], drawn[1][1]))
-    saved = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibration, "save", lambda figure, file: saved.append(figure))
-        calibration.save_calibration(found, "x.png", "a title")
-    for ax, kind in zip(saved[0].axes, (Kind.CORNER, Kind.END), strict=False):
-        mm = 1000.0 * found.landmarks[1].errors[kinds == kind]
-        np.testing.assert_allclose(ax.collections[0].get_offsets(), mm)
-        assert line(ax, "sample mean").get_xydata()[0] == pytest.approx(mm.mean(axis=0))
-        outline = line(ax, "95 %").get_xydata()
-        moment = sum(np.outer(row, row) for row in mm) / len(mm)
-        assert np.einsum("ki,ij,kj->k", outline, np.linalg.inv(moment), outline) == pytest.approx(
-            chi2.ppf(0.95, 2), rel=1e-4
-        )
-    white = np.linalg.solve(root, drawn[1][0].errors.T).T  # the root is lower triangular, as Cholesky's
-    np.testing.assert_allclose(saved[0].axes[2].collections[1].get_offsets(), white[:, [0, 2]], rtol=1e-5)
-
-
 def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_blocks():
     points, covs, extents = plot.landmarks_of(TRACE)
     np.testing.assert_array_equal(points, TRACE.final.landmarks[[2, 4, 5, 6]])
@@ -209,16 +157,3 @@ def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_bl
     cell = TRACE.config.grid.cell_m
     assert shown.shape == (3, 7) and shown[1, 1] == 100
     assert extent == pytest.approx((-2.3 + 3 * cell, -2.3 + 10 * cell, 1.7 + 2 * cell, 1.7 + 5 * cell))
-
-
-@pytest.mark.parametrize(
-    ("label", "high", "told", "tick"),
-    [("error of x [m]", 0.083, "error of x [mm]", "\N{MINUS SIGN}12.5"),
-     ("error of x [m]", 0.13, "error of x [m]", None), ("error of heading [°]", 0.083, "error of heading [°]", None),
-     ("y [m]", 0.083, "y [m]", None)],
-)  # fmt: skip
-def test_short_lengths_are_told_in_millimetres(label: str, high: float, told: str, tick: str | None) -> None:
-    ax = plot.new_figure(4.0, 3.0).add_subplot()
-    ax.set(ylabel=label, ylim=(-0.031, high))
-    in_millimetres(ax)
-    assert ax.get_ylabel() == told and (tick is None or ax.yaxis.get_major_formatter()(-0.0125, 0) == tick)

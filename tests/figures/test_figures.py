@@ -1,6 +1,5 @@
 import dataclasses
 import sys
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -9,26 +8,16 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.figures import slider
 from sixthsense.figures.kinds import KINDS
-from sixthsense.figures.overtime import draw_error, draw_nis
-from sixthsense.figures.plot import ellipse, known_blocks, save_map
-from sixthsense.loop.run import run
+from sixthsense.figures.plot import ellipse, known_blocks
 from sixthsense.record.trace import Trace
 
 
 @pytest.fixture
 def trace(explored) -> Trace:
     return explored.trace
-
-
-def test_a_run_without_keyframes_can_be_drawn(trace):
-    nothing = dataclasses.replace(trace, key_stamps_ns=[], key_estimates=[], key_truths=[], associations=[])
-    for k in range(3):
-        draw_error(Figure().add_subplot(), nothing, k)
-    draw_nis(Figure().add_subplot(), nothing)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -75,13 +64,6 @@ def test_blocks_of_cells_lie_where_the_cells_do_and_keep_every_obstacle(trace: T
     assert set(zip(at.tolist(), across.tolist(), strict=True)) == set(zip(*np.nonzero(blocks == 100), strict=True))
 
 
-def test_a_run_without_returns_can_be_drawn(tmp_path: Path) -> None:
-    blind = preset().replaced(scene="rectangle", max_time=0.5)
-    blind = blind.replaced(laser=blind.laser.replaced(max_range=0.01))
-    save_map(run(blind), tmp_path / "map.png", "a title")
-    assert (tmp_path / "map.png").is_file()
-
-
 def test_a_slider_draws_again_when_it_is_moved_and_without_widgets_the_start_is_shown(monkeypatch):
     widgets = pytest.importorskip("ipywidgets")
     from IPython import display
@@ -95,5 +77,3 @@ def test_a_slider_draws_again_when_it_is_moved_and_without_widgets_the_start_is_
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
     slider(lambda value: f"drawn at {value}", (1, 2, 3), 1, "value")
     assert shown[1:] == ["drawn at 2", "drawn at 1"]
-    with pytest.raises(ValueError, match="start: found 5, allowed: 1, 2"):
-        slider(str, (1, 2), 5, "value")

@@ -2,14 +2,12 @@
 
 import csv
 import dataclasses
-import html
 import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from PIL import Image
 
@@ -18,7 +16,7 @@ from sixthsense.config import preset
 from sixthsense.evaluation.results import Metrics
 from sixthsense.figures.animation import animate
 from sixthsense.figures.kinds import KINDS
-from sixthsense.figures.report import Verdict, page, report
+from sixthsense.figures.report import report
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 
@@ -62,7 +60,7 @@ def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "one"
     drive = ["--task", "tour", "--max-time", "12", "--seed", "2", "--estimator", "ekf-fej"]
     assert main(["run", "rectangle", *drive, "--out", str(out)]) == 0
-    assert main(["report", str(out), "--figures", "svg"]) == 0
+    assert main(["report", str(out)]) == 0
     return out
 
 
@@ -86,28 +84,6 @@ def noted(folder: Path, notes: str) -> Path:
     folder.mkdir()
     (folder / "config.toml").write_text(notes, encoding="utf-8")
     return folder
-
-
-REPEATED = {
-    "a merged run": ('[replayed]\nlog = "a b"\nmerged_with = "c"\nrelations = "r"\n',
-                     "sixthsense merge 'a b' c --config {config} --relations r"),
-    "a live run": ('[replayed]\ndomain = "3"\n', "sixthsense live --config {config} --domain 3"),
-    "a run in a map at its origin": (
-        '[prior_map]\nname = "first"\ndigest = "0a1b"\npose = [0.0, 0.0, 0.0]\npose_sigma = [0.0, 0.0, 0.0]\n',
-        "sixthsense run --config {config} --prior-map first --pose 0.0 0.0 0.0"),
-    "one that was lost in it": (
-        '[prior_map]\nname = "first"\ndigest = "0a1b"\nlost = true\n',
-        "sixthsense run --config {config} --prior-map first --lost"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", REPEATED)
-def test_the_page_has_the_command_that_repeats_a_run(name: str, tmp_path: Path) -> None:
-    notes, command = REPEATED[name]
-    folder = noted(tmp_path / "one", notes)
-    report([shown(folder=folder)], tmp_path / "out")
-    found = html.unescape((tmp_path / "out" / PAGE).read_text(encoding="utf-8"))
-    assert command.format(config=folder / "config.toml") in re.split(r"\n|<pre>", found)
 
 
 def without_truth(run: Run) -> Run:
@@ -134,13 +110,8 @@ def test_several_runs_are_shown_side_by_side_with_a_table(finished, tmp_path):
     assert rows["outcome"]["log"] == "explored"
 
 
-def test_a_run_without_truth_has_no_figures_that_need_it(finished, tmp_path):
-    files = report([without_truth(finished)], tmp_path)
-    assert {file.name for file in files} == {"map.png", "nis.png", "stages.png", "exploration.png", PAGE}
-
-
 def test_the_command_writes_into_the_folder_of_one_run_and_into_another_only_on_request(folder, tmp_path, capsys):
-    written = {file.name for file in (folder / "figures").iterdir() if file.suffix != ".svg"}
+    written = {file.name for file in (folder / "figures").iterdir()}
     assert written == PICTURES - {"exploration.png"} | {PAGE}  # a tour explores nothing
     assert main(["report", str(folder), "--out", str(tmp_path)]) == 2
     assert "exists, allowed: a new folder, or --overwrite" in capsys.readouterr().err
@@ -182,24 +153,6 @@ def test_a_page_says_the_verdicts_of_a_run_first_in_the_words_of_its_summary(fol
     assert places == sorted(places) and run.summary["consistency"] in str(run) and run.summary["map"] in repr(run)
 
 
-def test_a_page_has_its_sections_in_order_and_leaves_out_empty_ones():
-    frame = pd.DataFrame({"value": ["<x>"]}, index=["one"])
-    verdicts = [Verdict("", "good"), Verdict("b", "broken", True)]
-    text = page("a title", verdicts, {"First": [frame], "Empty": [], "Last": [frame]})
-    assert '<h2 id="first">First</h2>' in text and "Empty" not in text and "&lt;x&gt;" in text
-    assert text.count("verdict alarm") == 1 and text.index("good") < text.index("broken") < text.index("<nav")
-
-
-def test_vector_figures_are_the_same_each_time(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("sixthsense.figures.report.KINDS", {name: KINDS[name] for name in ("map", "nees")})
-    first, again = (
-        {file.name: file.read_bytes() for file in report([load(folder)], tmp_path / n, "svg")} for n in "ab"
-    )
-    assert {name for name in first if name.endswith("svg")} == {"map.svg", "nees.svg"}
-    for name in ("map.svg", "nees.svg"):
-        assert first[name] == again[name] and first[name].startswith(b"<?xml")
-
-
 def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, tmp_path):
     shown: list[int] = []
     animate(folder, load(folder).trace, tmp_path / "run.gif", "a run", frames=3, on_frame=lambda: shown.append(1))
@@ -211,14 +164,3 @@ def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, tmp_pat
             film.seek(k)
             frames.append(np.asarray(film.convert("RGB"), dtype=np.int64))
     assert np.abs(frames[2] - frames[0]).max() > 50
-
-
-@pytest.mark.parametrize(("args", "complaint"), [
-    (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4, FILE.webp or FILE.gif"),
-    (["{folder}", "--animate"], "--animate: found 2 runs, allowed: one run"),
-])  # fmt: skip
-def test_an_invalid_film_is_refused_in_one_line(folder, args, complaint, tmp_path, capsys):
-    words = ["report", str(folder), "--out", str(tmp_path / "new")]
-    assert main([*words, *(word.format(folder=folder) for word in args)]) == 2
-    assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
-    assert not (tmp_path / "new").exists()

@@ -1,7 +1,5 @@
 """NEES of landmarks: 2 if consistent, where the true wall or point is known."""
 
-import math
-
 import numpy as np
 import pytest
 from point_world import joint_state, make
@@ -39,10 +37,3 @@ def test_with_known_association_the_landmark_nees_is_in_its_chi_square_band_whic
     found, (low, high) = np.mean(rows, axis=0), nees_band(RUNS, dof=2, confidence=0.999)
     assert ((low < found) & (found < high)).all(), found
     assert (2.0 * found > high).all(), found
-
-
-def test_the_angle_of_a_wall_is_wrapped_and_the_coordinate_of_a_point_is_not():
-    estimate = np.array([[math.pi - 0.01, 2.0], [math.pi, 2.0]])
-    truth = np.array([[-math.pi + 0.01, 2.0], [-math.pi, 2.0]])
-    found = nees_landmarks(estimate, truth, np.array([True, False]), np.stack([np.eye(2) * 1e-4] * 2))
-    np.testing.assert_allclose(found, [4.0, 4.0e4 * math.pi**2], rtol=1e-3)
