@@ -14,7 +14,6 @@ from sixthsense.auditing.poses import Poses, is_of_plane
 from sixthsense.auditing.scores import fitted, rms
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation.metrics import has_full_rank
-from sixthsense.logs.diagnose import of_headings
 
 WRONG = "cannot be right"
 """how a line on a mistake begins"""
@@ -27,21 +26,6 @@ _FITS, _UNLIKE = 0.2, 0.5  # share of the spread or of the errors that remains: 
 _SCALE, _TURNED_RAD, _STEADY = 1.2, math.radians(10.0), 0.9  # of units and axes that are worth a word
 _NEAR = 1.5  # times: the errors over what a mistake would make of them
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
-def headings_in_degrees(poses: Array) -> str:
-    """Why the headings of (N, 3) x y theta are in degrees; empty if they are not.
-
-    They wrap by a turn of 360; or the robot goes along them if they are read as degrees, and not as radians.
-    """
-    if len(poses) <= _FEWEST:
-        return ""
-    steps = np.abs(np.diff(poses[:, 2]))
-    turns = int(np.sum(np.abs(steps - 360.0) < 36.0))
-    if turns and np.abs(poses[:, 2]).max() <= 364.0:
-        return f"they jump by {steps.max():.0f} where they wrap, {turns} times"
-    found = of_headings(poses)
-    return "the robot goes along them only as degrees" if found is not None and found.kind == "headings_unit" else ""
 
 
 def of_estimate(poses: Poses) -> Iterator[str]:

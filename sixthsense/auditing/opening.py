@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from sixthsense.auditing.mistakes import WRONG, headings_in_degrees, of_estimate
+from sixthsense.auditing.mistakes import WRONG, of_estimate
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, poses_from
 from sixthsense.config.errors import InputError
@@ -20,7 +20,9 @@ from sixthsense.core.arguments import as_array
 from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.logs import is_run_folder, kind_of
-from sixthsense.logs.stamps import matched, unit_of
+from sixthsense.logs.diagnose import findings_of
+from sixthsense.logs.joining import Odometry
+from sixthsense.logs.stamps import ascending, matched, unit_of
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -209,8 +211,9 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         raise InputError("", str(error)) from None
     if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
         raise InputError(f"{what} covariances", "found 6 x 6 of planar poses", "3 x 3")
-    if poses.shape[1:] == (3,) and (fault := headings_in_degrees(poses)):
-        raise InputError(f"{what} poses", f"found headings in degrees: {fault}", "radians")
+    for fault in findings_of((), Odometry(ascending(stamps_ns), poses)) if poses.shape[1:] == (3,) else ():
+        if fault.action == "refused" and fault.kind != "odometry_unit":  # which a truth tells better
+            raise InputError(f"{what} poses", f"found {fault.text}", "metres and radians")
     return _noted(poses_from(what, stamps_ns, poses, covs), notes)
 
 

@@ -87,10 +87,10 @@ class MessageReader:
             if not links:
                 raise ValueError(f"found no transform {self._frames}, allowed: one")
             _check_header(links[-1].header)
-            place = planar(links[-1].transform.translation, links[-1].transform.rotation)
+            place = planar(links[-1].transform)
             return RobotPose(stamp_ns(links[-1]), place, *self._frames)
         message = self.read(data, ODOMETRY)
-        pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+        pose = planar(message.pose.pose)
         robot = _checked_frame(message.child_frame_id)
         return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
 
@@ -118,7 +118,7 @@ class MessageReader:
         message = self.read(data, POSE)
         if (frame := frame_name(message.header.frame_id)) != WORLD:
             raise ValueError(f"found a pose in the frame {shown_name(frame)}, allowed: in {WORLD}")
-        return planar(message.pose.pose.position, message.pose.pose.orientation)
+        return planar(message.pose.pose)
 
 
 class LaserReader:

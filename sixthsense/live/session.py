@@ -36,7 +36,6 @@ from sixthsense.live.reading import (
 )
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
-from sixthsense.logs.diagnose import take_turns
 from sixthsense.logs.log import described_laser
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.logs.transforms import FramePair, TransformTree
@@ -138,9 +137,6 @@ class Session:
         self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
         scans, self._robot, found = self._first_messages(drive)
         stamps = sorted(scans)
-        if take_turns([scans[stamp] for stamp in stamps]):
-            lasers = f"found scans of two lasers in turn, all of frame {self._laser.frame}"
-            raise InputError(topics.scan, lasers, "one laser")
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.upside_down ^= laser.mirrored

@@ -38,7 +38,7 @@ def open_log(
     `units` says which units a bag or a CARMEN log has, such as `ranges=mm`. Raises InputError for an unknown kind, with
     the known ones, and for a file that the reader cannot read.
     """
-    from sixthsense.config import LaserConfig
+    from sixthsense.config import LaserConfig, preset
     from sixthsense.logs.units import units_of
 
     path, own_units = Path(file), units_of(units)
@@ -51,8 +51,6 @@ def open_log(
         from sixthsense.logs.graph import read_graph
 
         return read_graph(path)
-    if not path.exists():
-        raise InputError(path, "no such file")
     if kind == "run":
         from sixthsense.logs.runfolder import read_run
 
@@ -61,17 +59,16 @@ def open_log(
         from sixthsense.logs.rosbag import How, read_bag
         from sixthsense.logs.transforms import frame_pair
 
-        how = How(topics, frame_pair(odometry_frames), odometry, own_units)
-        return read_bag(path, laser or LaserConfig(), how)
+        return read_bag(path, laser or LaserConfig(), How(topics, frame_pair(odometry_frames), odometry, own_units))
     if kind == "mrclam":
-        from sixthsense.config import preset
         from sixthsense.logs.mrclam import read_mrclam
 
         return read_mrclam(path, assumed or preset("mrclam").assumed, robot)
+    if not path.exists():
+        raise InputError(path, "no such file")
     if path.name.endswith((".db3.zstd", ".mcap.zstd")):
-        raise InputError(
-            path, "found a piece of a compressed bag", "its folder with metadata.yaml, or what `zstd -d` makes of it"
-        )
+        allowed = "its folder with metadata.yaml, or what `zstd -d` makes of it"
+        raise InputError(path, "found a piece of a compressed bag", allowed)
     compressed = f"also with {' or '.join(_COMPRESSED)}"
     kinds = (
         f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}), "
@@ -80,39 +77,25 @@ def open_log(
     raise InputError(path, "found no known kind of log", kinds)
 
 
-def _suffix(path: Path) -> str:
-    """The last suffix, in lower case, without that of a compression."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    if suffixes and suffixes[-1] in _COMPRESSED:
-        suffixes.pop()
-    return suffixes[-1] if suffixes else ""
-
-
 def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""]:
-    """How a log is read, by its name or what is in the folder; "" if that is not known."""
+    """How a log is read, by its name or what is in it; "" if that is not known."""
     from sixthsense.logs.bag_file import bag_files, suffix_of
-
-    if not path.is_dir():
-        if suffix_of(path):
-            return "bag"
-        if _suffix(path) in _CARMEN:
-            return "carmen"
-        if _suffix(path) in _GRAPHS:
-            return "graph"
-        return "bag" if path.suffix.lower() in _BAGS else _kind_of_text(path)
-    if is_run_folder(path):
-        return "run"
-    if (path / "metadata.yaml").is_file() or bag_files(path):
-        return "bag"
-    return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
-
-
-def _kind_of_text(path: Path) -> Literal["carmen", "graph", ""]:
-    """The kind of a text of another name, by its first word."""
     from sixthsense.logs.carmen import MESSAGES
     from sixthsense.logs.graph import TAGS
     from sixthsense.logs.text_lines import first_word
 
+    if path.is_dir():
+        if is_run_folder(path):
+            return "run"
+        if (path / "metadata.yaml").is_file() or bag_files(path):
+            return "bag"
+        return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    suffix = next((each for each in reversed(suffixes) if each not in _COMPRESSED), "")
+    if suffix_of(path) or suffix in _BAGS:
+        return "bag"
+    if suffix in (*_CARMEN, *_GRAPHS):
+        return "carmen" if suffix in _CARMEN else "graph"
     word = first_word(path)
     return "graph" if word in TAGS else "carmen" if word in MESSAGES else ""
 

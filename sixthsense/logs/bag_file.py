@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,8 +15,8 @@ from numpy.typing import NDArray
 from sixthsense.config.errors import InputError, nearest, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array
-from sixthsense.logs.ros_messages import ODOMETRY, checked_stamp, frame_name, stamp_ns
-from sixthsense.logs.text_lines import LARGEST, check_regular
+from sixthsense.logs.ros_messages import ODOMETRY, frame_name, pose_numbers, stamp_ns
+from sixthsense.logs.text_lines import check_regular
 from sixthsense.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
@@ -26,13 +25,11 @@ if TYPE_CHECKING:
 WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", ODOMETRY)
 WITHOUT = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 
-_MCAP, _ROSBAG, _SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\x00"
-_SUFFIXES = {_MCAP: ".mcap", _ROSBAG[:7]: ".bag", _SQLITE: ".db3"}
+_ROSBAG = b"#ROSBAG V2.0\n"
+_SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", _ROSBAG[:7]: ".bag", b"SQLite format 3\x00": ".db3"}
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
-_BASE_BUDGET, _BUDGET_PER_BYTE = (
-    1 << 30,
-    20,
-)  # bytes that all chunks may have together; scans rarely compress to a tenth
+_BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 30, 20
+"""bytes that all chunks may have together; scans rarely compress to a tenth"""
 
 
 def suffix_of(file: Path) -> str:
@@ -54,7 +51,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[AnyReader]:
-    """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file), recognised by its first bytes.
+    """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file).
 
     Whatever is wrong within the block is an InputError: a damaged bag can raise any exception, and may define a type
     with a known name but without the expected fields.
@@ -69,14 +66,13 @@ def opened(path: Path) -> Iterator[AnyReader]:
         check_regular(path)
         files = bag_files(path) if path.is_dir() else [path]
         for file in files:
-            kind = suffix_of(file)
+            if (kind := suffix_of(file)) not in ("", file.suffix):
+                raise InputError(file, "found a bag of another name", f"one that ends in {kind}")
             if kind in (".mcap", ".bag"):
                 allowed = f"a whole file; `{'mcap recover' if kind == '.mcap' else 'rosbag reindex'}` makes one of it"
                 _check_chunks(file, kind)
-        with (
-            tempfile.TemporaryDirectory(prefix="sixthsense-") as folder,
-            AnyReader(_named(path, files, Path(folder)), default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
-        ):
+        named = [path] if (path / "metadata.yaml").is_file() else files or [path]
+        with AnyReader(named, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
     except InputError:
         raise
@@ -84,62 +80,40 @@ def opened(path: Path) -> Iterator[AnyReader]:
         raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", allowed) from None
 
 
-def _named(path: Path, files: Sequence[Path], folder: Path) -> list[Path]:
-    """The bag as rosbags takes it: a folder with metadata, or files that are named as their content is."""
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        return [path]
-    named = []
-    for number, file in enumerate(files):
-        suffix = suffix_of(file)
-        if suffix in ("", file.suffix):
-            named.append(file)
-            continue
-        named.append(folder / f"{number}{suffix}")
-        named[-1].symlink_to(file.resolve())
-    return named or [path]
-
-
 def _check_chunks(file: Path, kind: str) -> None:
-    """Raise ValueError for a chunk that is larger than any writer's, for chunks far larger than the file, or a cut."""
-    size = file.stat().st_size
-    left = _BASE_BUDGET + _BUDGET_PER_BYTE * size
+    """Raise an exception for a chunk larger than any writer's, for chunks far larger than the file, or a cut."""
+    left = _BASE_BUDGET + _BUDGET_PER_BYTE * file.stat().st_size
     with file.open("rb") as stream:
-        for held in (_mcap_chunks if kind == ".mcap" else _bag_chunks)(stream, size):
+        for held in (_mcap_chunks if kind == ".mcap" else _bag_chunks)(stream):
             left -= held
             if held > _LARGEST_CHUNK or left < 0:
                 raise ValueError(f"found chunks that hold {held} bytes and more, far more than the file")
 
 
-def _mcap_chunks(stream: IO[bytes], size: int) -> Iterator[int]:
-    """Bytes that each chunk of an MCAP file holds, by the headers of its records."""
-    at = len(_MCAP)
-    while at < size - len(_MCAP):
-        stream.seek(at)
-        op, length = struct.unpack("<BQ", stream.read(9))
-        if op == 0x06:
-            yield struct.unpack("<QQQ", stream.read(24))[2]
-        at += 9 + length
-    stream.seek(max(size - len(_MCAP), 0))
-    if at != size - len(_MCAP) or stream.read() != _MCAP:
-        raise ValueError("it is cut short")
+def _mcap_chunks(stream: IO[bytes]) -> Iterator[int]:
+    """Bytes that each chunk of an MCAP file holds, by the headers of its records; an exception for a cut."""
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader
+
+    try:
+        for record in StreamReader(stream, emit_chunks=True, record_size_limit=_LARGEST_CHUNK).records:
+            if isinstance(record, Chunk):
+                yield record.uncompressed_size
+    except EndOfFile:
+        raise ValueError("it is cut short") from None
 
 
-def _bag_chunks(stream: IO[bytes], size: int) -> Iterator[int]:
-    """Bytes that each chunk of a ROS 1 bag holds, by the headers of its records."""
-    at = len(_ROSBAG)
-    if stream.read(at) != _ROSBAG:
-        raise ValueError("File magic is invalid.")
-    while at < size:
-        stream.seek(at)
-        (length,) = struct.unpack("<I", stream.read(4))
-        header = stream.read(min(length, 1 << 16))
+def _bag_chunks(stream: IO[bytes]) -> Iterator[int]:
+    """Bytes that each chunk of a ROS 1 bag holds, by the headers of its records; an exception for a cut."""
+    stream.seek(len(_ROSBAG))
+    while size := stream.read(4):
+        header = stream.read(struct.unpack("<I", size)[0])
         if b"\x04\x00\x00\x00op=\x05" in header and (place := header.find(b"size=")) >= 0:
             yield struct.unpack_from("<I", header, place + 5)[0]
-        stream.seek(at + 4 + length)
         (held,) = struct.unpack("<I", stream.read(4))
-        at += 8 + length + held
-    if at != size:
-        raise ValueError("it is cut short")
+        if held and not (stream.seek(held - 1, 1) and stream.read(1)):
+            raise ValueError("it is cut short")
 
 
 @dataclass(slots=True)
@@ -166,10 +140,7 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclud
     Raises InputError with the candidates unless there is one, and for a bag or a pose that cannot be read.
     """
     kinds = WITH_COVARIANCE if with_covariance else (*WITH_COVARIANCE, *WITHOUT)
-    rows: list[list[float]] = []
-    covs: list[Any] = []
-    stamps: list[int] = []
-    parent = child = ""
+    rows, covs, stamps = [], [], []
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
         if topic:
@@ -178,17 +149,17 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclud
         name = only_topic(path, types, kinds, option, exclude, f"no topic {topic!r}" if topic else "no topic of poses")
         for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
             message: Any = reader.deserialize(raw, connection.msgtype)
-            stamps.append(checked_stamp(f"{path} {name}", stamp_ns(message) or record_ns))
-            parent = parent or frame_name(message.header.frame_id)
-            if connection.msgtype in WITH_COVARIANCE:
-                rows.append(_numbers(message.pose.pose))
-                covs.append(message.pose.covariance)
-            else:
-                rows.append(_numbers(message.pose if hasattr(message, "pose") else message.transform))
-            child = child or frame_name(getattr(message, "child_frame_id", ""))
-    where = f"{path} {name}"
+            one = message.pose if hasattr(message, "pose") else message.transform
+            try:
+                stamps.append(stamp_ns(message) or record_ns)
+                rows.append(pose_numbers(one.pose if hasattr(one, "pose") else one))
+            except ValueError as error:
+                raise InputError(f"{path} {name} message {len(stamps)}", str(error)) from None
+            covs += [one.covariance] if connection.msgtype in WITH_COVARIANCE else []
     found = np.array(covs, dtype=np.float64).reshape(-1, 6, 6) if covs else None
-    return PoseTopic(name, np.array(stamps, dtype=np.int64), _checked(where, rows), found, parent, child)
+    poses = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    parent, child = frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
+    return PoseTopic(name, np.array(stamps, dtype=np.int64), poses, found, parent, child)
 
 
 def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[np.int64], Array]]:
@@ -202,8 +173,7 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     with opened(path) as reader:
         known = [c for c in reader.connections if c.msgtype in TRANSFORM_TYPES]
         for connection, record_ns, raw in reader.messages(known) if known else ():
-            message = reader.deserialize(raw, connection.msgtype)
-            for error in tree.take(connection.topic, message, record_ns):
+            for error in tree.take(connection.topic, reader.deserialize(raw, connection.msgtype), record_ns):
                 raise InputError(f"{path} {connection.topic}", str(error))
     try:
         links = [tree.transforms(link) for link in tree.chain(pair)]
@@ -228,33 +198,11 @@ def only_topic(
     if len(fitting) == 1:
         return fitting[0]
     names = ", ".join(kind.rpartition("/")[2] for kind in kinds)
-    if not fitting:
-        there = ", ".join(
-            f"{shown_name(topic)} ({kind.rpartition('/')[2]})" for topic, kind in sorted(types.items())[:8]
-        )
-        allowed = ", ".join(map(shown_name, every)) or f"a topic of type {names}"
-        raise InputError(path, f"found {missing}, but {there or 'no topic at all'}", allowed, nearest(missing, every))
+    if fitting:
+        allowed = f"one, by {option} {' or '.join(map(shown_name, fitting))}"
+        raise InputError(path, f"found {len(fitting)} topics of type {names}", allowed)
+    there = [f"{shown_name(topic)} ({kind.rpartition('/')[2]})" for topic, kind in sorted(types.items())[:8]]
+    found = f"found {missing}, but {', '.join(there) or 'no topic at all'}"
     raise InputError(
-        path,
-        f"found {len(fitting)} topics of type {names}",
-        f"one, by {option} {' or '.join(map(shown_name, fitting))}",
+        path, found, ", ".join(map(shown_name, every)) or f"a topic of type {names}", nearest(missing, every)
     )
-
-
-def _numbers(pose: Any) -> list[float]:
-    """The numbers x y z qx qy qz qw of a Pose or a Transform."""
-    place = pose.position if hasattr(pose, "position") else pose.translation
-    turn = pose.orientation if hasattr(pose, "orientation") else pose.rotation
-    return [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
-
-
-def _checked(where: str, rows: list[list[float]]) -> Array:
-    poses = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    good = (np.abs(poses) <= LARGEST).all(axis=1) & np.any(poses[:, 3:], axis=1)
-    if not good.all():
-        row = int(np.argmin(good))
-        found = tuple(poses[row].tolist())
-        raise InputError(
-            f"{where} message {row + 1}", f"found a pose of {found}", "finite numbers and a quaternion that is not zero"
-        )
-    return poses

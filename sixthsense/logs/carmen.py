@@ -1,4 +1,4 @@
-"""CARMEN logs: one text line per odometry record or laser scan."""
+"""Logs of CARMEN, the robot navigation toolkit: text with one line per odometry record or laser scan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from sixthsense.logs.laser_geometry import (
     beams_as_stated,
     beams_by_count,
     beams_over,
-    faults_of,
     max_range_of,
     mount_from_poses,
     no_return_code,
@@ -55,32 +54,20 @@ _MOST_DAMAGED = 1000
 _MESSAGE_NAME = re.compile(rb"[A-Z][A-Z0-9_-]{0,39}")
 
 
-class _Geometry(NamedTuple):
-    """What a line says of its laser; a FLASER line says the number of beams alone."""
-
-    beams: int
-    """number of beams"""
-    start: float = 0.0
-    """bearing of the first beam, rad"""
-    fov: float = 0.0
-    """field of view, rad; 0: not stated"""
-    resolution: float = 0.0
-    """between two beams, rad; 0: not stated"""
-    max_range: float = math.inf
-    """metres"""
-
-
 class _Reading(NamedTuple):
-    """A line with odometry, and with a scan if it has a geometry."""
+    """A line with odometry, and with a scan if it has ranges."""
 
     kind: bytes
     stamp_ns: int
     stamp_s: float
     poses: Array
     """(2, 3) `T_odom_laser` and `T_odom_robot`; the latter twice on a line that has no scan"""
-    geometry: _Geometry | None
     ranges: NDArray[np.float32]
-    """(beams,) metres, at least 0, or inf"""
+    """(beams,) metres, or inf; -1 for one that is negative or no number"""
+    beams: Beams | None
+    """as the line states them; a FLASER line does not"""
+    max_range: float
+    """metres, as the line states it; inf where it does not"""
 
 
 @dataclass(slots=True)
@@ -114,51 +101,44 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
     and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
     each has the stamp of its record, or 1 ns after the previous tick if that is later. Stamps that would be of a far
     future in seconds are in a part of a second. Raises InputError for a file that cannot be read, is no CARMEN log, or
-    has no scan with a return.
+    has no scan.
     """
     path, given = Path(file), laser or LaserConfig()
     content = _read_lines(path, units)
-    counts = {kind: content.kinds[kind] for kind in (ROBOTLASER, FLASER)}
-    if not any(counts.values()):
-        there = (
-            ", ".join(f"{count} {kind.decode()}" for kind, count in content.kinds.most_common(5)) or "no line at all"
-        )
-        raise InputError(path, f"found no FLASER or ROBOTLASER1 line ({there})", "a log with laser scans")
-    kind = max(counts, key=lambda each: counts[each])
-    readings = [reading for reading in content.readings if reading.geometry is None or reading.kind == kind]
-    found = _found(content, readings, len(content.readings) - len(readings))
+    kind = max((ROBOTLASER, FLASER), key=lambda each: content.kinds[each])
+    readings = [reading for reading in content.readings if reading.kind in (ODOM, kind)]
     wanted = {given.beams} if "beams" in given.explicit_fields else range(2, MOST_BEAMS + 1)
-    scans = [reading for reading in readings if reading.geometry is not None and reading.geometry.beams in wanted]
+    scans = [reading for reading in readings if len(reading.ranges) in wanted]
     if not scans:
-        beams = ", ".join(str(n) for n in sorted({r.geometry.beams for r in readings if r.geometry is not None}))
-        raise InputError(path, f"found scans of {beams} beams", f"{given.beams} (laser.beams)")
+        there = (
+            ", ".join(f"{count} {name.decode()}" for name, count in content.kinds.most_common(5)) or "no line at all"
+        )
+        beams = f" of {given.beams} beams (laser.beams)" * ("beams" in given.explicit_fields)
+        raise InputError(path, f"found no FLASER or ROBOTLASER1 line{beams} ({there})", "a log with laser scans")
+    found = _found(content, readings)
     mount = _mount(scans, given, content.params.get(_OFFSET, 0.0), found)
     reaches = _reaches(scans, given, content.params.get(_MAX, 0.0), found)
     stamps = ascending([reading.stamp_ns for reading in readings])
     odometry = Odometry(stamps, np.array([reading.poses[1] for reading in readings]))
-    made = []
-    for reading, stamp_ns in zip(readings, stamps.tolist(), strict=True):
-        if reading.geometry is not None and reading.geometry.beams in wanted:
-            scan = _scan(reading, reading.geometry, reaches[reading.geometry.max_range], given, mount)
-            made.append(Sighting(stamp_ns, scan, reading.stamp_s))
-    found += faults_of([reading.ranges for reading in scans], [each.scan for each in made])
-    candidates: Sequence[Beams] = ()
-    if kind == FLASER and "fov" not in given.explicit_fields and len({reading.geometry for reading in scans}) == 1:
-        candidates = beams_by_count(len(scans[0].ranges))
-    return Log.of(made, odometry, given, found, candidates)
+    made = [
+        Sighting(stamp_ns, _scan(reading, reaches[reading.max_range], given, mount), reading.stamp_s)
+        for reading, stamp_ns in zip(readings, stamps.tolist(), strict=True)
+        if len(reading.ranges) in wanted
+    ]
+    counts = {len(reading.ranges) for reading in scans}
+    is_open = kind == FLASER and "fov" not in given.explicit_fields and len(counts) == 1
+    return Log.of(made, odometry, given, found, beams_by_count(max(counts)) if is_open else ())
 
 
-def _found(content: _Lines, readings: Sequence[_Reading], others: int) -> list[Finding]:
+def _found(content: _Lines, readings: Sequence[_Reading]) -> list[Finding]:
     """What is odd in the lines of a file."""
-    found = []
     unmeasured = sum(int(np.count_nonzero(reading.ranges < 0.0)) for reading in readings)
-    if unmeasured:
-        found.append(Finding("left_out", unmeasured, place="ranges that are negative or no number are no returns"))
-    if others:
-        found.append(Finding("left_out", others, place="scans of the other of FLASER and ROBOTLASER1 are left out"))
-    if content.refused:
-        text = f"lines are left out, the first: {content.refused[0]}"
-        found.append(Finding("left_out", len(content.refused), place=text))
+    left_out = {
+        "ranges that are negative or no number are no returns": unmeasured,
+        "scans of the other of FLASER and ROBOTLASER1 are left out": len(content.readings) - len(readings),
+        f"lines are left out, the first: {''.join(content.refused[:1])}": len(content.refused),
+    }
+    found = [Finding("left_out", count, place=place) for place, count in left_out.items() if count]
     if content.unit is not None and content.unit[0] > 1:
         found.append(Finding("stamps_unit", place=content.unit[1]))
     return found
@@ -182,11 +162,11 @@ def _reaches(
 ) -> dict[float, float]:
     """Maximum ranges by those that lines state, m: as the user or the lines state, as codes, as a parameter says."""
     reaches: dict[float, float] = {}
-    for stated in {reading.geometry.max_range for reading in scans if reading.geometry is not None}:
+    for stated in {reading.max_range for reading in scans}:
         if "max_range" in given.explicit_fields:
             reaches[stated] = given.max_range
             continue
-        ranges = [r.ranges for r in scans if r.geometry is not None and r.geometry.max_range == stated]
+        ranges = [reading.ranges for reading in scans if reading.max_range == stated]
         known = parameter if stated == math.inf and parameter > 0.0 else stated
         code = no_return_code(ranges)
         if code is not None and code < stated:
@@ -196,17 +176,16 @@ def _reaches(
     return reaches
 
 
-def _scan(reading: _Reading, geometry: _Geometry, reach: float, given: LaserConfig, mount: Pose) -> Scan:
+def _scan(reading: _Reading, reach: float, given: LaserConfig, mount: Pose) -> Scan:
     """The scan of a line, with its own beams unless the user has stated others."""
-    count, beams = geometry.beams, beams_by_count(geometry.beams)[0]
-    if geometry.fov > 0.0:
-        beams = beams_as_stated(count, geometry.start, geometry.fov, geometry.resolution)
-    is_stated = "fov" in given.explicit_fields and abs(given.fov - beams.step * (count - 1)) > _SAVED_RAD
-    first, step = beams_over(given.fov, count) if is_stated else beams  # else it is that of a saved configuration
+    count = len(reading.ranges)
+    beams = reading.beams or beams_by_count(count)[0]
+    if "fov" in given.explicit_fields and abs(given.fov - beams.step * (count - 1)) > _SAVED_RAD:
+        beams = beams_over(given.fov, count)  # else it is that of a saved configuration
     is_return = (reading.ranges >= 0.0) & (reading.ranges < np.float32(reach))
     ranges = np.where(is_return, reading.ranges, np.float32(np.inf))
     ranges.flags.writeable = False
-    scan = Scan(ranges, np.float32(first), np.float32(step), reach, mount, time_increment(given))
+    scan = Scan(ranges, np.float32(beams.first), np.float32(beams.step), reach, mount, time_increment(given))
     return scan.mirrored() if given.mirrored else scan
 
 
@@ -223,20 +202,20 @@ def _read_lines(path: Path, units: Units) -> _Lines:
             content.refused.append(str(error.at(error.where.removeprefix(f"{path} "))))
             if len(content.refused) == count >= _MOST_DAMAGED:
                 break
-    if content.refused and not any(reading.geometry is not None for reading in content.readings):
+    if content.refused and not any(len(reading.ranges) for reading in content.readings):
         raise InputError("", f"{path} {content.refused[0]}")
     return content
 
 
 def _take(content: _Lines, record: Record) -> None:
+    """Add what a line says; InputError for one that is damaged."""
     fields, kind = record.fields, record.fields[0]
     read = {FLASER: _flaser, ROBOTLASER: _robotlaser, ODOM: _odom}.get(kind)
     if read is not None:
         scan = read(record, content.units)  # which checks the number of fields
-        stamp = fields[-3]
-        content.unit = content.unit or unit_of(record.parsed([stamp]))
+        content.unit = content.unit or unit_of(record.parsed(fields[-3:-2]))
         parts = content.unit[0]
-        content.readings.append(_Reading(kind, record.stamp_ns(stamp, parts), float(stamp) / parts, *scan))
+        content.readings.append(_Reading(kind, record.stamp_ns(fields[-3], parts), float(fields[-3]) / parts, *scan))
     elif not _MESSAGE_NAME.fullmatch(kind):
         record.fail(f"found {shown(kind)}, allowed: a CARMEN message, as ODOM or FLASER")
     elif any(name.startswith(kind) for name in (FLASER, ROBOTLASER, ODOM)):
@@ -246,34 +225,34 @@ def _take(content: _Lines, record: Record) -> None:
     content.kinds[kind] += 1
 
 
-_Line = tuple[Array, _Geometry | None, NDArray[np.float32]]
-"""poses and scan, as in a `_Reading`; ranges of -1 are negative or no number"""
+_Line = tuple[Array, NDArray[np.float32], Beams | None, float]
+"""poses, ranges, beams and maximum range, as in a `_Reading`"""
 
 
 def _odom(record: Record, units: Units) -> _Line:
     _expect(record, _ODOM_FIELDS)
-    return np.tile(_poses(record, 1, 4, units), (2, 1)), None, np.zeros(0, dtype=np.float32)
+    return np.tile(_poses(record, 1, 4, units), (2, 1)), np.zeros(0, dtype=np.float32), None, math.inf
 
 
 def _flaser(record: Record, units: Units) -> _Line:
     count = _count(record, 1)
-    _expect(record, count + _FLASER_FIELDS, f" with {count} ranges")
-    return _poses(record, -9, -3, units), _Geometry(count), _ranges(record, 2, count, units)
+    _expect(record, count + _FLASER_FIELDS)
+    return _poses(record, -9, -3, units), _ranges(record, 2, count, units), None, math.inf
 
 
 def _robotlaser(record: Record, units: Units) -> _Line:
     """A scan that states its beams; remissions between ranges and poses, which some logs have, are skipped."""
     count = _count(record, _HEAD - 1)
     if len(record.fields) != _HEAD + count + _TAIL:
-        _expect(record, _HEAD + count + 1 + _count(record, _HEAD + count) + _TAIL, f" with {count} ranges")
+        _expect(record, _HEAD + count + 1 + _count(record, _HEAD + count) + _TAIL)
     start, fov, resolution, max_range = record.numbers(record.fields[2:6])
     start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
-    max_range *= units.ranges
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
         what = f"angles of {start:.6g} to {start + fov:.6g}{', which are degrees' if fov > 2.0 * math.pi else ''}"
         record.fail(f"found {what}, allowed: radians of up to a full circle, or `units` angles=degrees")
-    geometry = _Geometry(count, start, fov, resolution, max_range if max_range > 0.0 else math.inf)
-    return _poses(record, -14, -8, units), geometry, _ranges(record, _HEAD, count, units)
+    beams = beams_as_stated(count, start, fov, resolution) if fov > 0.0 else None
+    reach = units.ranges * max_range if max_range > 0.0 else math.inf
+    return _poses(record, -14, -8, units), _ranges(record, _HEAD, count, units), beams, reach
 
 
 def _poses(record: Record, first: int, past: int, units: Units) -> Array:
@@ -285,15 +264,15 @@ def _poses(record: Record, first: int, past: int, units: Units) -> Array:
 def _count(record: Record, place: int) -> int:
     """A number of values in a field."""
     if len(record.fields) <= place:
-        record.fail(f"found {record.fields[0].decode()} of {len(record.fields)} fields, a CARMEN line cut short")
+        _expect(record, place + 1)
     return record.whole(place, "number of values")
 
 
-def _expect(record: Record, count: int, what: str = "") -> None:
+def _expect(record: Record, count: int) -> None:
     found = len(record.fields)
     if found != count:
         cut = " (a CARMEN line cut short)" * (found < count)
-        record.fail(f"found {record.fields[0].decode()}{what} of {found} fields, allowed: {count}{cut}")
+        record.fail(f"found {record.fields[0].decode()} of {found} fields, allowed: {count}{cut}")
 
 
 def _ranges(record: Record, first: int, count: int, units: Units) -> NDArray[np.float32]:

@@ -18,18 +18,19 @@ from sixthsense.logs.joining import Odometry, Sighting
 from sixthsense.logs.laser_geometry import beams_over
 from sixthsense.logs.log import Log
 from sixthsense.logs.stamps import passed_s
-from sixthsense.logs.turns import Fit, fit_turns, view
+from sixthsense.logs.turns import Fit, fit_turns
 from sixthsense.logs.units import DEGREES
 
 _COMPARED = 100  # scans, evenly over the log
 _MOVED_M, _MOST = 0.3, 0.5  # by which a range has changed, and the share of beams
-_LEAST_M, _RATIO, _SHARE = 0.1, 0.25, 0.8  # of two differences of views, and of the scans that say so
 _FASTEST = 20.0  # m/s of a vehicle; a slow robot in centimetres is faster
 _FEWEST, _LEAST_WAY_M, _ALONG, _ACROSS = 10, 1.0, 0.85, 0.5
-"""motions and way, m, that say something; and how much of a way goes along a heading that is its own"""
+"""motions and way, m, that say something; shares of a way along a heading that is its own, and across another one"""
 _BACKWARD, _TURNED_RAD = 0.95, 0.5  # share of the way; and by which headings differ that say something
-_SIGMAS, LEAST_S, _SCALE_OFF = 4.0, 0.08, 0.15
-"""of a value that is not chance; a delay and a scale of turns that are worth a word"""
+_SIGMAS, _LEAST_S, _SCALE_OFF = 4.0, 0.08, 0.15
+"""of a value that is not chance; a delay and a scale that are worth a word"""
+_OFF = (0.1, 0.1, 4.0 * DEGREES)
+"""the same of a mount: x, y, m, and heading"""
 
 
 def diagnose(log: Log) -> list[Finding]:
@@ -38,37 +39,6 @@ def diagnose(log: Log) -> list[Finding]:
     Each kind of finding is said, refused or applied by `settled`, as `KINDS` has it.
     """
     return [*log.found, *findings_of(log.sightings, log.odometry, log.candidates), *_gaps(log)]
-
-
-def findings_of(
-    sightings: Sequence[Sighting], odometry: Odometry | None, candidates: Sequence[tuple[float, float]] = ()
-) -> Iterator[Finding]:
-    """What scans and odometry say; `candidates` as those of a `Log`."""
-    if not sightings:
-        return
-    scans = [each.scan for each in sightings]
-    some = scans[:: max(1, len(scans) // _COMPARED)]
-    if take_turns(scans):
-        yield Finding("lasers_in_turn")
-    yield from _of_stamps(np.array([each.own_s for each in sightings]))
-    fit = None
-    if odometry is not None:
-        stands = not (odometry.poses != odometry.poses[0]).any()
-        if stands and len(scans) > 1:
-            yield Finding("frozen_odometry" if _scans_move(some) else "still")
-        else:
-            yield from _of_odometry(odometry)
-            fit = fit_turns(sightings, odometry, candidates)
-    if fit is not None and odometry is not None:
-        yield from _of_turns(fit, odometry, open_beams=bool(candidates))
-    if candidates:
-        yield _beams(len(scans[0].ranges), candidates, fit)
-    if odometry is not None and (fit is None or not fit.is_lag):
-        first, last = (seconds(int(odometry.stamps_ns[k])) for k in (0, -1))
-        spans = seconds(sightings[0].stamp_ns), seconds(sightings[-1].stamp_ns)
-        if spans[0] > last or spans[1] < first:
-            place = f"scans from {spans[0]:.3f} to {spans[1]:.3f} s, odometry from {first:.3f} to {last:.3f} s"
-            yield Finding("one_clock", place=place)
 
 
 def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
@@ -96,34 +66,56 @@ def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
     return log, config, [*said, *_gaps(log)]
 
 
-def take_turns(scans: Sequence[Scan]) -> bool:
-    """Whether scans are of two lasers in turn: they resemble the second next one and not the next, all along."""
-    if len(scans) < 6:
-        return False
-    votes = []
-    for k in np.unique(np.linspace(0, len(scans) - 3, _COMPARED).astype(int)).tolist():
-        first, following, second = (view(scan) for scan in scans[k : k + 3])
-        off = [np.abs(first - other) for other in (following, second)]
-        to_next, to_second = (float(np.nanmedian(each)) if np.isfinite(each).any() else math.inf for each in off)
-        votes.append(to_next > _LEAST_M and to_second < _RATIO * to_next)
-    return bool(np.mean(votes) >= _SHARE)
-
-
-def _of_stamps(own_s: Array) -> Iterator[Finding]:
-    steps = np.diff(own_s)
-    if back := int(np.count_nonzero(steps < 0.0)):
-        yield Finding("stamps_back", back)
+def findings_of(
+    sightings: Sequence[Sighting], odometry: Odometry | None, candidates: Sequence[tuple[float, float]] = ()
+) -> Iterator[Finding]:
+    """What scans and odometry say, or poses alone; `candidates` as those of a `Log`."""
+    stands = odometry is not None and not (odometry.poses != odometry.poses[0]).any()
+    if odometry is not None and not stands:
+        yield from _of_odometry(odometry)
+    if not sightings:
+        return
+    scans = [each.scan for each in sightings]
+    yield from _of_ranges(scans)
+    steps = np.diff([each.own_s for each in sightings])
     repeated = int(np.count_nonzero(steps == 0.0))
-    if len(steps) and 2 * repeated > len(steps):
-        yield Finding("stamps_repeat", repeated)
-    if own_s.min() < 0.0:
-        yield Finding("stamps_negative", float(own_s.min()))
+    out_of_order = int(np.count_nonzero(steps < 0.0)) + repeated * (2 * repeated > len(steps))
+    if out_of_order:
+        yield Finding("stamps", out_of_order)
+    fit = None
+    if odometry is not None and not stands:
+        fit = fit_turns(sightings, odometry, candidates)
+    elif odometry is not None and len(scans) > 1:
+        yield Finding("frozen_odometry" if _scans_move(scans) else "still")
+    if fit is not None:
+        yield from _of_turns(fit, open_beams=bool(candidates))
+    if candidates:
+        yield _beams(len(scans[0].ranges), candidates, fit)
+    if odometry is not None and (fit is None or not fit.is_lag):
+        first, last = (seconds(int(odometry.stamps_ns[k])) for k in (0, -1))
+        spans = seconds(sightings[0].stamp_ns), seconds(sightings[-1].stamp_ns)
+        if spans[0] > last or spans[1] < first:
+            place = f"scans from {spans[0]:.3f} to {spans[1]:.3f} s, odometry from {first:.3f} to {last:.3f} s"
+            yield Finding("one_clock", place=place)
 
 
-def _scans_move(some: Sequence[Scan]) -> bool:
+def _some(scans: Sequence[Scan]) -> Sequence[Scan]:
+    return scans[:: max(1, len(scans) // _COMPARED)]
+
+
+def _of_ranges(scans: Sequence[Scan]) -> Iterator[Finding]:
+    """Ranges that cannot be metres, and scans without a return."""
+    returns = np.concatenate([scan.ranges[scan.is_return] for scan in _some(scans)])
+    if len(returns) and (median := float(np.median(returns))) > MOST_RANGE_M:
+        yield Finding("ranges_unit", median)
+    if not len(returns) and not any(scan.is_return.any() for scan in scans):
+        yield Finding("no_return", len(scans))
+
+
+def _scans_move(scans: Sequence[Scan]) -> bool:
     """Whether scans differ in most of their beams: people who walk by change fewer."""
-    first, changed = some[0].ranges, []
-    for scan in some:
+    first, changed = scans[0].ranges, []
+    for scan in _some(scans):
         count = min(len(first), len(scan.ranges))
         here, there = (np.minimum(ranges[:count], MOST_RANGE_M) for ranges in (first, scan.ranges))
         changed.append(float(np.mean(np.abs(here - there) > _MOVED_M)))
@@ -136,62 +128,60 @@ def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
     passed, steps = passed_s(odometry.stamps_ns), np.diff(odometry.poses, axis=0)
     moved = np.hypot(steps[:, 0], steps[:, 1])
     moves = (moved > 0.0) & np.isfinite(passed)
-    usual = moves & (moved <= np.quantile(moved[moves], 0.9)) if moves.any() else moves
+    way = np.where(moves & (moved <= np.quantile(moved[moves], 0.9)), moved, 0.0) if moves.any() else 0.0 * moved
     wrong = None
-    if np.count_nonzero(usual) >= _FEWEST and moved[usual].sum() > _LEAST_WAY_M:
-        speed = float(moved[usual].sum() / max(passed[moves].sum(), 1e-9))
-        wrong = Finding("odometry_unit", speed) if speed > _FASTEST else of_headings(odometry.poses, moved * usual)
+    if np.count_nonzero(way) >= _FEWEST and way.sum() > _LEAST_WAY_M:
+        speed = float(way.sum() / max(passed[moves].sum(), 1e-9))
+        wrong = Finding("odometry_unit", speed) if speed > _FASTEST else _of_headings(odometry.poses, way)
     if wrong is not None:
         yield wrong
     elif len(jumps):
-        sizes = np.hypot(steps[jumps - 1, 0], steps[jumps - 1, 1])
+        sizes = moved[jumps - 1]
         at_s = seconds(int(odometry.stamps_ns[jumps[np.argmax(sizes)]] - odometry.stamps_ns[0]))
         times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
         yield Finding("jump", float(sizes.max()), place=f"{times}, after {at_s:.1f} s")
 
 
-def of_headings(poses: Array, way: Array | None = None) -> Finding | None:
+def _of_headings(poses: Array, way: Array) -> Finding | None:
     """What is wrong with the headings of (N, 3) poses, by the share of the way that goes along them or against them.
 
     `way` (N - 1,), m, is that from each pose to the next; 0 where it does not count.
     """
-    steps, heading = np.diff(poses[:, :2], axis=0), poses[:-1, 2]
+    steps, heading, total = np.diff(poses[:, :2], axis=0), poses[:-1, 2], way.sum()
     course = np.arctan2(steps[:, 1], steps[:, 0])
-    way = np.hypot(steps[:, 0], steps[:, 1]) if way is None else way
-    total = way.sum()
-
-    def along(of_course: Array, of_heading: Array) -> float:
-        """Mean of twice the angles between both: 1 for one direction and its opposite, 0 for all of them."""
-        return float(way @ np.cos(2.0 * (of_course - of_heading)) / total)
-
-    if not total or way @ np.abs(np.sin(course - heading)) < _ACROSS * total:
-        back = float(way @ (np.cos(course - heading) < 0.0) / max(total, 1e-9))
+    turns = DEGREES * np.abs(np.diff(poses[:, 2]))
+    if (np.abs(turns - 2.0 * math.pi) < _TURNED_RAD).any() and np.abs(heading).max() <= 364:
+        return Finding("headings_unit")  # which wrap by 360
+    if way @ np.abs(np.sin(course - heading)) < _ACROSS * total:
+        back = float(way @ (np.cos(course - heading) < 0.0) / total)
         return Finding("driven_backward", back) if back > _BACKWARD else None
     if np.ptp(np.unwrap(heading)) < _TURNED_RAD or np.abs(way @ np.exp(2j * course)) > _ALONG * total:
         return None  # along a straight way goes any heading that hardly changes
-    degrees = DEGREES * np.unwrap(heading)  # whose first one may be any number of turns off
-    shares = {
-        "headings_unit": max(
-            along(course, DEGREES * heading), float(np.abs(way @ np.exp(2j * (course - degrees)))) / total
-        ),
-        "headings_inverted": along(course, -heading),
-        "axes_exchanged": along(math.pi / 2.0 - course, heading),
+    read_as = {
+        "headings_unit": course
+        - DEGREES * np.unwrap(heading, period=360.0 if np.ptp(heading) > 7.0 else 2.0 * math.pi),
+        "headings_inverted": course + heading,
+        "axes_exchanged": math.pi / 2.0 - course - heading,
     }
-    best = max(shares, key=lambda kind: shares[kind])
-    return Finding(best) if shares[best] > _ALONG else None
+    # 1 for one direction and its opposite, 0 for all of them
+    shares = {kind: way @ np.exp(2j * off) / total for kind, off in read_as.items()}
+    shares["headings_unit"] = np.abs(shares["headings_unit"])  # its first one is any number of turns off
+    best = max(shares, key=lambda kind: shares[kind].real)
+    return Finding(best) if shares[best].real > _ALONG else None
 
 
-def _of_turns(fit: Fit, odometry: Odometry, open_beams: bool) -> Iterator[Finding]:
+def _of_turns(fit: Fit, open_beams: bool) -> Iterator[Finding]:
     """What turns say of clocks, of a mirror, and of the angles of beams or the turns of wheels."""
-    least_s = max(LEAST_S, _SIGMAS * fit.lag_sigma_s)
-    if fit.is_lag and abs(fit.lag_s) >= least_s and (fit.is_sure or abs(fit.lag_s) < 1.0):
+    if (
+        fit.is_lag
+        and abs(fit.lag_s) >= max(_LEAST_S, _SIGMAS * fit.lag_sigma_s)
+        and (fit.is_sure or abs(fit.lag_s) < 1.0)
+    ):
         yield Finding("clocks", fit.lag_s, fit.lag_sigma_s)
-    if not fit.is_sure:
-        return
-    if fit.sign < 0:
+    if fit.is_sure and fit.sign < 0:
         yield Finding("turned_around")
     off = abs(math.log(max(fit.scale, 1e-3)))
-    if not open_beams and off > max(_SCALE_OFF, _SIGMAS * fit.scale_sigma):
+    if fit.is_sure and not open_beams and off > max(_SCALE_OFF, _SIGMAS * fit.scale_sigma):
         yield Finding("turn_scale", fit.scale, fit.scale_sigma)
 
 
@@ -199,8 +189,7 @@ def _beams(count: int, candidates: Sequence[tuple[float, float]], fit: Fit | Non
     """The beams of scans whose format leaves them open: by the turns, or as they usually are."""
     is_found = fit is not None and fit.is_candidate and fit.is_sure
     if fit is not None and is_found and fit.candidate > 0:
-        first, _ = candidates[fit.candidate]
-        value = min(-2.0 * first, 2.0 * math.pi)  # centred, as `beams_over` has them
+        value = min(-2.0 * candidates[fit.candidate][0], 2.0 * math.pi)  # centred, as `beams_over` has them
         return Finding("field_of_view", value, value * fit.scale_sigma)
     first, step = (math.degrees(angle) for angle in candidates[0])
     by = ", by the turns that odometry and scans see" * is_found
@@ -214,12 +203,11 @@ def _gaps(log: Log) -> Iterator[Finding]:
     alone = np.array([tick.is_unmeasured and tick.scan is not None for tick in log.ticks])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], alone, [False]]).astype(int)))
     spans = [(begin, end) for begin, end in edges.reshape(-1, 2).tolist() if end - begin > 1]
-    if not spans:
-        return
-    stamps_s = [seconds(tick.stamp_ns - log.ticks[0].stamp_ns) for tick in log.ticks]
-    shown = ", ".join(f"from {stamps_s[begin]:.1f} to {stamps_s[end - 1]:.1f} s" for begin, end in spans[:4])
-    more = f" and {len(spans) - 4} more times" * (len(spans) > 4)
-    yield Finding("gap", float(alone.sum()), place=shown + more)
+    if spans:
+        stamps_s = [seconds(tick.stamp_ns - log.ticks[0].stamp_ns) for tick in log.ticks]
+        shown = ", ".join(f"from {stamps_s[begin]:.1f} to {stamps_s[end - 1]:.1f} s" for begin, end in spans[:4])
+        more = f" and {len(spans) - 4} more times" * (len(spans) > 4)
+        yield Finding("gap", float(alone.sum()), place=shown + more)
 
 
 class Mount(NamedTuple):
@@ -258,11 +246,10 @@ def hand_eye(wheels: Array, path: Array, sigmas_m: Array) -> Mount | None:
         off = np.abs(right - rows @ values) / spread
         usual = max(1.4826 * float(np.median(off)), 0.05)
         weights = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(off, 1e-9))) / spread
-    least = np.linalg.svd(rows * weights[:, None], compute_uv=False)[-1]
-    if least < _SIGMAS * usual * math.sqrt(n):  # what the noise of the motions alone makes of it
-        return None
-    cov = np.linalg.inv((rows * weights[:, None]).T @ (rows * weights[:, None])) * usual**2
-    sigmas = np.sqrt(np.diag(cov))
+    weighted = rows * weights[:, None]
+    if np.linalg.svd(weighted, compute_uv=False)[-1] < _SIGMAS * usual * math.sqrt(n):
+        return None  # what the noise of the motions alone makes of it
+    sigmas = usual * np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     offset, scale, is_reversed = np.asarray(values[:3], dtype=np.float64), float(values[3]), False
     if scale < 0.0:
         ahead = np.minimum(wheels[:, 0], 0.0).sum() / -np.abs(wheels[:, 0]).sum()
@@ -274,21 +261,18 @@ def hand_eye(wheels: Array, path: Array, sigmas_m: Array) -> Mount | None:
 
 def beside_wheels(found: Mount, stated: Pose) -> list[Finding]:
     """What a mount and a scale of wheels, beside the mount that is stated, say of both."""
-    findings, offset, scale = [], found.offset, found.scale
-    if found.is_reversed:
-        findings.append(Finding("wheels_reversed"))
-    if abs(scale - 1.0) > max(_SCALE_OFF, _SIGMAS * found.scale_sigma):
-        findings.append(Finding("odometry_scale", scale, found.scale_sigma))
-    off = np.abs(offset) > np.maximum((0.1, 0.1, 4.0 * DEGREES), _SIGMAS * found.sigmas)
+    findings, offset = [Finding("wheels_reversed")] * found.is_reversed, found.offset
+    if abs(found.scale - 1.0) > max(_SCALE_OFF, _SIGMAS * found.scale_sigma):
+        findings.append(Finding("odometry_scale", found.scale, found.scale_sigma))
+    off = np.abs(offset) > np.maximum(_OFF, _SIGMAS * found.sigmas)
     if off.any():
         fits = Pose(*np.where(off, offset, 0.0).tolist()) @ stated
-        words = (
-            ("farther forward", "farther back"),
-            ("farther left", "farther right"),
-            ("turned left", "turned right"),
-        )
-        sizes = [f"{abs(value):.2f} m" for value in offset[:2]] + [f"{math.degrees(abs(offset[2])):.0f}°"]
-        parts = [f"{sizes[k]} {words[k][int(offset[k] < 0.0)]}" for k in np.flatnonzero(off)]
-        place = f"{' and '.join(parts)} than its mount is stated"
+        x, y, turn = np.abs(offset)
+        parts = np.array([
+            f"{x:.2f} m farther {'back' if offset[0] < 0.0 else 'forward'}",
+            f"{y:.2f} m farther {'right' if offset[1] < 0.0 else 'left'}",
+            f"{math.degrees(turn):.0f}° turned {'right' if offset[2] < 0.0 else 'left'}",
+        ])  # fmt: skip
+        place = f"{' and '.join(parts[off])} than its mount is stated"
         findings.append(Finding("mount", place=place, vector=(fits.x, fits.y, fits.theta)))
     return findings

@@ -56,8 +56,7 @@ KINDS = {
     "axes_exchanged": Kind("refused", "odometry, along whose headings the robot goes only with x and y exchanged"),
     # of the laser
     "ranges_unit": Kind("refused", "ranges with a median of {value:.5g}, which are mm or cm", "units ranges=mm"),
-    "no_return": Kind("refused", "no return in {value:.0f} scans"),
-    "lasers_in_turn": Kind("refused", "scans of two lasers in turn{place}, allowed: a frame for each laser"),
+    "no_return": Kind("refused", "no return in {value:.0f} scans: are their ranges in mm?", "units ranges=mm"),
     "sweep": Kind("said", "time_increment makes a sweep of {value:.3g} s, {place}: is its unit wrong? Left out"),
     "angle_increment": Kind(
         "said", "angle_increment spans {value:.4g} of what angle_min and angle_max do: it is used", "laser.fov"
@@ -66,12 +65,8 @@ KINDS = {
     "assumed_mount": Kind("said", "assumed: the laser at {place}", "laser.mount"),
     "assumed_range": Kind("said", "assumed: a laser of {value:.2f} m, {place}", "laser.max_range"),
     # of stamps
-    "stamps_back": Kind("said", "stamps decrease at {value:.0f} scans: replayed in the order of the file"),
-    "stamps_repeat": Kind(
-        "said", "{value:.0f} scans repeat the stamp of the one before: replayed in the order of the file"
-    ),
+    "stamps": Kind("said", "stamps decrease or repeat at {value:.0f} scans: replayed in the order of the file"),
     "stamps_unit": Kind("said", "stamps are taken as {place} since 1970"),
-    "stamps_negative": Kind("said", "stamps begin at {value:.3f} s: those of the run begin at 0"),
     "stamps_of_recording": Kind("said", "stamps of {place}: the times of recording are used"),
     # of the file
     "left_out": Kind("said", "{value:.0f} {place}"),
@@ -122,12 +117,8 @@ class Finding:
         return f"metres and radians, or `{option}` {value}" if option else ""
 
     def __str__(self) -> str:
-        setting = " ".join([f"`{self.option}`", *self._setting()]) if self.option else ""
-        if not setting or f"`{self.option}`" in self.text:
+        if not self.option or f"`{self.option}`" in self.text:
             return self.text
-        return f"{self.text} ({setting})" if self.action == "applied" else f"{self.text} (otherwise set {setting})"
-
-    def _setting(self) -> list[str]:
-        if self.vector:
-            return [" ".join(f"{number:.2f}" for number in self.vector)]
-        return [f"{self.value:.4g}"] if self.action == "applied" and not math.isnan(self.value) else []
+        numbers = self.vector or (self.value,) * (self.action == "applied" and not math.isnan(self.value))
+        setting = " ".join([f"`{self.option}`", *(f"{number:.4g}" for number in numbers)])
+        return f"{self.text} ({'otherwise set ' * (self.action != 'applied')}{setting})"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -19,18 +18,18 @@ from sixthsense.logs.log import Log
 from sixthsense.logs.text_lines import Record, records, shown
 
 _STEP_NS = 1_000_000_000
-_FARTHEST = 1e6
+_FARTHEST, _SMALLEST = 1e6, 1e-9
 _LARGEST_ENTRY = 1e12
 """largest entry of a covariance or information matrix"""
 _SLACK = 1e-12
 """tolerance of an eigenvalue for rounding, relative to the largest entry"""
 
 _MOTIONS, _POINTS = (b"ODOMETRY", b"EDGE_SE2"), (b"LANDMARK", b"EDGE_SE2_XY")
+_POLAR = b"BR"
 _INFORMATION = (b"EDGE_SE2", b"EDGE_SE2_XY")
 """tags whose numbers are an information matrix; those of others are a covariance"""
-_POSES = (b"VERTEX2", b"VERTEX_SE2")
-_FIX = b"FIX"
-TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY", _FIX)
+_SKIPPED = (b"VERTEX2", b"VERTEX_SE2", b"VERTEX_XY", b"FIX")
+TAGS = (*_MOTIONS, *_POINTS, _POLAR, *_SKIPPED)
 
 
 def read_graph(file: str | Path) -> Log:
@@ -46,13 +45,12 @@ def read_graph(file: str | Path) -> Log:
 
         LANDMARK    i l x y  xx xy yy                 GTSAM: landmark l seen from pose i; COVARIANCE of x, y
         EDGE_SE2_XY i l x y  xx xy yy                 g2o: the same with INFORMATION
-        BR          i l bearing range  s_b s_r        GTSAM: with two sigmas, rad and m
+        BR          i l bearing range  s_b s_r        GTSAM: with two sigmas, rad and m, above 0
 
-    Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) and FIX are skipped. Both share one space of
-    ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
-    observations; odometry begins at zero. Raises InputError, naming file and line, for any other tag; an edge of a pose
-    that no way leads to; a landmark that is seen before its pose, or twice from one
-    pose, or has the id of a pose; an invalid number; an invalid covariance.
+    Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) and FIX are skipped. Each pose is a tick, one
+    second after the previous one, with the covariance of the motion and the observations; odometry begins at zero.
+    Raises InputError, naming file and line, for any other tag; an edge of a pose that no way leads to; a landmark that
+    is seen before its pose, or twice from one pose; an invalid number; an invalid covariance.
 
     In GTSAM's `victoria_park.txt` the six and three numbers are covariances, as GTSAM's load2D reads them (sigmas of
     0.01 m, 0.002 m, 0.002 rad, and of 0.63 m). As information, 0.0001 would be an error of 100 m on a step of some
@@ -65,10 +63,12 @@ def read_graph(file: str | Path) -> Log:
     graph = _Graph()
     for record in records(path):
         tag = record.fields[0]
-        if tag not in TAGS:
+        if tag in _MOTIONS:
+            _read_motion(graph, record)
+        elif tag in (*_POINTS, _POLAR):
+            _read_landmark(graph, record)
+        elif tag not in _SKIPPED:
             record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in TAGS)}")
-        if tag != _FIX:
-            _READERS[tag](graph, record)
     if len(graph.ticks) < 2:
         raise InputError(path, "found no edge between poses", f"a graph with {b', '.join(_MOTIONS).decode()}")
     _add_closures(graph)
@@ -95,38 +95,25 @@ class _Graph:
     """of the poses, by id, in order"""
     seen: dict[int, dict[LandmarkId, Observation]] = field(default_factory=dict)
     """by pose, as in its tick"""
-    kinds: dict[int, str] = field(default_factory=dict)
-    """pose or landmark, by id"""
     others: list[_Edge] = field(default_factory=list)
     """edges that do not lead from the newest pose to a new one"""
-    guessed: dict[int, str] = field(default_factory=dict)
-    """the same of those with an initial value"""
 
     def add(self, pose: int, odometry: Pose, cov: Array | None = None) -> None:
         """Add a pose without observations."""
         seen = self.seen[pose] = {}
         self.ticks[pose] = Tick(len(self.ticks) * _STEP_NS, odometry, observations=seen, increment_cov=cov)
 
-    def check_kind(self, record: Record, vertex: int, kind: str) -> None:
-        """Fail for a pose with the id of a landmark, and the other way round."""
-        other = "landmark" if kind == "pose" else "pose"
-        if self.kinds.setdefault(vertex, kind) == other:
-            record.fail(f"found {kind} {vertex}, allowed: an id that no {other} has")
-
 
 def _read_motion(graph: _Graph, record: Record) -> None:
     before, after = _ids(record, 11)
-    motion = _bounded(record, record.numbers(record.fields[3:6]))
+    step = Pose.from_array(record.numbers(record.fields[3:6], _FARTHEST))
     cov = _covariance(record, 3, definite=False)
-    for pose in (before, after):
-        graph.check_kind(record, pose, "pose")
     if not graph.ticks:
         graph.add(before, Pose())
-    step = Pose.from_array(motion)
     if after in graph.ticks or before != next(reversed(graph.ticks)):
         graph.others.append(_Edge(record, before, after, step, cov))
-        return
-    graph.add(after, graph.ticks[before].odometry @ step, cov)
+    else:
+        graph.add(after, graph.ticks[before].odometry @ step, cov)
 
 
 def _add_closures(graph: _Graph) -> None:
@@ -134,11 +121,9 @@ def _add_closures(graph: _Graph) -> None:
     order = {pose: number for number, pose in enumerate(graph.ticks)}
     found: dict[int, list[Closure]] = {}
     for record, before, after, step, cov in graph.others:
-        if before not in order or after not in order:
+        if before not in order or after not in order or before == after:
             newest = next(reversed(graph.ticks))
             record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
-        if before == after:
-            record.fail(f"found an edge from pose {before} to itself, allowed: two poses")
         if order[before] < order[after]:
             found.setdefault(after, []).append(Closure(order[before], step, cov))
         else:
@@ -149,71 +134,35 @@ def _add_closures(graph: _Graph) -> None:
 
 
 def _read_landmark(graph: _Graph, record: Record) -> None:
-    is_polar = record.fields[0] not in _POINTS
+    is_polar = record.fields[0] == _POLAR
     pose, landmark = _ids(record, 6 if is_polar else 7)
-    first, second = _bounded(record, record.numbers(record.fields[3:5])).tolist()
-    if is_polar:
-        sigmas = record.numbers(record.fields[5:7])
-        if not (np.all(sigmas > 1e-9) and second > 0.0):
-            record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
-        _bounded(record, sigmas)
-        observation = polar_observation(second, first, (float(sigmas[1]) ** 2, float(sigmas[0]) ** 2))
-    else:
-        cov = _covariance(record, 2, definite=True)
-        observation = Observation(Kind.CORNER, np.array([first, second]), cov)
-    graph.check_kind(record, landmark, "landmark")
-    if not graph.ticks and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
+    if not graph.ticks:
         graph.add(pose, Pose())
     if pose not in graph.ticks:
         record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
-    seen = graph.seen[pose]
-    if landmark in seen:
+    if landmark in graph.seen[pose]:
         record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
-    seen[landmark] = observation
-
-
-def _read_vertex(graph: _Graph, record: Record) -> None:
-    kind = "pose" if record.fields[0] in _POSES else "landmark"
-    _expect(record, 4 if kind == "pose" else 3)
-    vertex = _id(record, 1)
-    record.numbers(record.fields[2:])
-    if graph.guessed.get(vertex) == kind:
-        record.fail(f"found {kind} {vertex} again, allowed: a new one")
-    graph.check_kind(record, vertex, kind)
-    graph.guessed[vertex] = kind
-
-
-_READERS: dict[bytes, Callable[[_Graph, Record], None]] = {
-    **dict.fromkeys(_MOTIONS, _read_motion),
-    **dict.fromkeys((*_POINTS, b"BR"), _read_landmark),
-    **dict.fromkeys((*_POSES, b"VERTEX_XY"), _read_vertex),
-}
-
-
-def _expect(record: Record, count: int) -> None:
-    """Fail unless the line has a tag and `count` numbers."""
-    if len(record.fields) != count + 1:
-        tag = record.fields[0].decode()
-        record.fail(f"found {tag} with {len(record.fields) - 1} numbers, allowed: {count}")
+    if not is_polar:
+        place, cov = record.numbers(record.fields[3:5], _FARTHEST), _covariance(record, 2, definite=True)
+        graph.seen[pose][landmark] = Observation(Kind.CORNER, place, cov)
+        return
+    bearing, distance, *sigmas = record.numbers(record.fields[3:], _FARTHEST).tolist()
+    if min(distance, *sigmas) < _SMALLEST:
+        record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
+    graph.seen[pose][landmark] = polar_observation(distance, bearing, (sigmas[1] ** 2, sigmas[0] ** 2))
 
 
 def _ids(record: Record, count: int) -> tuple[int, int]:
-    _expect(record, count)
-    return _id(record, 1), _id(record, 2)
-
-
-def _id(record: Record, column: int) -> int:
-    """The id in a column; GTSAM writes its symbols as a letter in the highest of 8 bytes."""
-    text = record.fields[column]
-    if re.fullmatch(rb"[a-zA-Z]\d+", text) or (text.isdigit() and len(text) <= 20 and int(text) >> 56):
-        record.fail(f"found {shown(text)}, a symbol of GTSAM, allowed: whole numbers, as of poses renumbered from 0")
-    return record.whole(column, "id")
-
-
-def _bounded(record: Record, values: Array) -> Array:
-    if np.abs(values).max() > _FARTHEST:
-        record.fail(f"found {values[np.abs(values).argmax()]:g}, allowed: up to {_FARTHEST:g} either way")
-    return values
+    """The first two of so many numbers: ids; the symbols of GTSAM have a letter in the highest of 8 bytes."""
+    if len(record.fields) != count + 1:
+        tag = record.fields[0].decode()
+        record.fail(f"found {tag} with {len(record.fields) - 1} numbers, allowed: {count}")
+    for text in record.fields[1:3]:
+        if re.fullmatch(rb"[a-zA-Z]\d+", text) or (text.isdigit() and len(text) <= 20 and int(text) >> 56):
+            record.fail(
+                f"found {shown(text)}, a symbol of GTSAM, allowed: whole numbers, as of poses renumbered from 0"
+            )
+    return record.whole(1, "id"), record.whole(2, "id")
 
 
 def _covariance(record: Record, size: int, definite: bool) -> Array:

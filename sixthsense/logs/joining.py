@@ -45,7 +45,7 @@ class Odometry:
 
     def later(self, offset_s: float) -> Odometry:
         """The same poses at stamps that are so much later, s."""
-        return replace(self, stamps_ns=self.stamps_ns + round(1e9 * offset_s)) if offset_s else self
+        return replace(self, stamps_ns=self.stamps_ns + round(1e9 * offset_s))
 
     @property
     def usual_s(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.laser import MOST_RANGE_M, Scan
-from sixthsense.logs.finding import Finding
+from sixthsense.core.laser import Scan
 
 FARTHEST_M, MOST_BEAMS = 1000.0, 100_000
 """maximum range and number of beams of a laser that a configuration allows"""
@@ -64,10 +63,8 @@ def beams_over(fov: float, count: int) -> Beams:
 
 def beams_as_stated(count: int, start: float, fov: float, resolution: float) -> Beams:
     """The beams of a ROBOTLASER1 line, rad; the field of view decides where the resolution contradicts it."""
-    step = resolution
-    if not (step > 0.0 and abs(step * (count - 1) - fov) <= 1.5 * step):
-        step = beams_over(fov, count).step
-    return Beams(start, step)
+    agrees = resolution > 0.0 and abs(resolution * (count - 1) - fov) <= 1.5 * resolution
+    return Beams(start, resolution if agrees else beams_over(fov, count).step)
 
 
 def with_beams(scan: Scan, first: float, step: float) -> Scan:
@@ -102,20 +99,13 @@ def no_return_code(scans: Sequence[NDArray[np.float32]]) -> float | None:
     top = greatest_range(scans)
     if top <= 0.0:
         return None
-    near: list[NDArray[np.float32]] = []
-    beams: list[NDArray[np.intp]] = []
-    with_code = 0
-    code_from, from_ = np.float32(math.floor(_CODES_FROM * top * 100.0) / 100.0), np.float32(_BELOW_CODES * top)
-    for scan in scans:
-        index = np.flatnonzero((scan >= from_) & np.isfinite(scan))
-        if len(index):
-            near.append(scan[index])
-            beams.append(index[scan[index] >= code_from])
-            with_code += bool(len(beams[-1]))
+    code_from = np.float32(math.floor(_CODES_FROM * top * 100.0) / 100.0)
+    near = [scan[(scan >= np.float32(_BELOW_CODES * top)) & np.isfinite(scan)] for scan in scans]
+    beams = [found for scan in scans if len(found := np.flatnonzero((scan >= code_from) & np.isfinite(scan)))]
+    if len(beams) < _CODE_SCANS or len(np.unique(np.concatenate(beams))) < _CODE_BEAMS:
+        return None
     values, counts = np.unique(np.concatenate(near), return_counts=True)
     is_code = values >= code_from
-    if with_code < _CODE_SCANS or len(np.unique(np.concatenate(beams))) < _CODE_BEAMS:
-        return None
     return float(code_from) if counts[is_code].max() >= _CODE_RATIO * counts[~is_code].max(initial=1) else None
 
 
@@ -124,17 +114,6 @@ def max_range_of(scans: Sequence[NDArray[np.float32]]) -> float:
     code = no_return_code(scans)
     above = np.nextafter(np.float32(greatest_range(scans)), np.float32(np.inf))
     return min(float(above) if code is None else code, FARTHEST_M)
-
-
-def faults_of(ranges: Sequence[NDArray[np.float32]], scans: Sequence[Scan]) -> Iterator[Finding]:
-    """What is wrong with ranges (N,) of a log, in its own unit, and with the scans that are made of them."""
-    some = ranges[:: max(1, len(ranges) // 100)]
-    code = no_return_code(some) or math.inf
-    returns = np.concatenate([row[(row > 0.0) & np.isfinite(row) & (row < code)] for row in some])
-    if len(returns) and (median := float(np.median(returns))) > MOST_RANGE_M:
-        yield Finding("ranges_unit", median)
-    if not any(((scan.ranges > 0.0) & np.isfinite(scan.ranges)).any() for scan in scans):
-        yield Finding("no_return", len(scans))
 
 
 def greatest_range(scans: Sequence[NDArray[np.float32]]) -> float:

@@ -59,20 +59,27 @@ class Log:
         log.sightings, log.odometry = tuple(sightings), odometry
         return log
 
+    def _with(self, sightings: Sequence[Sighting], odometry: Odometry | None) -> Log:
+        """The log of other scans or odometry; itself if they were not joined."""
+        if self.laser is None or not self.sightings:
+            return self
+        return Log.of(sightings, odometry, self.laser, self.found, self.candidates)
+
     def later(self, time_offset_s: float) -> Log:
         """The log with its odometry so much later, s; itself for one whose scans and odometry were not joined."""
-        if self.laser is None or self.odometry is None or not time_offset_s:
+        if self.odometry is None or not time_offset_s:
             return self
-        return Log.of(self.sightings, self.odometry.later(time_offset_s), self.laser, self.found, self.candidates)
+        return self._with(self.sightings, self.odometry.later(time_offset_s))
 
     def without_odometry(self) -> Log:
         """The log with its scans alone."""
-        return self if self.laser is None else Log.of(self.sightings, None, self.laser, self.found, self.candidates)
+        return self._with(self.sightings, None)
 
     def with_beams(self, first: float, step: float) -> Log:
         """The log with scans whose beams begin at a bearing, and are a step apart, rad."""
-        made = [each._replace(scan=with_beams(each.scan, first, step)) for each in self.sightings]
-        return self if self.laser is None else Log.of(made, self.odometry, self.laser, self.found)
+        return self._with(
+            [each._replace(scan=with_beams(each.scan, first, step)) for each in self.sightings], self.odometry
+        )
 
     @property
     def has_odometry(self) -> bool:

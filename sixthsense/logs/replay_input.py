@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from sixthsense.config import Config, load_config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
@@ -28,19 +30,18 @@ _KINDS = {
     "graph": "a graph",
     "mrclam": "a MRCLAM folder",
 }
-_SCANS = ("carmen", "bag", "run")
-_TAKEN: dict[str, tuple[str, ...]] = {
-    "topics": ("bag",),
-    "odometry_frames": ("bag",),
-    "units": ("bag", "carmen"),
-    "robot": ("mrclam",),
-    "robot.radius": tuple(_KINDS),
-    "preset": ("carmen", "bag", "graph", "mrclam"),
-    "laser": ("carmen",),
-    "laser.mount": _SCANS,
-    "laser.mirrored": ("carmen", "bag"),
-    "assumed": (*_SCANS, "mrclam"),
-    **dict.fromkeys(("no_odometry", "keyframes", "features", "grid"), _SCANS),
+_TAKEN: dict[str, str] = {
+    "topics": "bag",
+    "odometry_frames": "bag",
+    "units": "bag carmen",
+    "robot": "mrclam",
+    "robot.radius": " ".join(_KINDS),
+    "preset": "carmen bag graph mrclam",
+    "laser": "carmen",
+    "laser.mount": "carmen bag run",
+    "laser.mirrored": "carmen bag",
+    "assumed": "carmen bag run mrclam",
+    **dict.fromkeys(("no_odometry", "keyframes", "features", "grid"), "carmen bag run"),
 }
 """kinds of logs on which an option, or the fields of a section, apply; any other applies on all"""
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
@@ -109,7 +110,7 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Log
     for name, value in fields.items():
         given += [f"{name}.{part}" for part in value] if isinstance(value, Mapping) else [name] * bool(value)
     for name in given:
-        kinds = _TAKEN.get(name) or _TAKEN.get(name.partition(".")[0], tuple(_KINDS))
+        kinds = (_TAKEN.get(name) or _TAKEN.get(name.partition(".")[0]) or kind).split()
         if kind and kind not in kinds:
             raise InputError(name, f"found on {_KINDS[kind]}", f"on {' or '.join(_KINDS[each] for each in kinds)}")
 
@@ -139,13 +140,9 @@ def open_recorded(
     chosen = chosen or LogSelection()
     topics, robot, frames, units = chosen
     files = {"log": str(absolute(log))}
-    files |= {
-        name: ",".join(words)
-        for name, words in (("topics", topics), ("odometry_frames", frames), ("units", units))
-        if words
-    }
-    if robot is not None:
-        files["robot"] = str(robot)
+    for name, value in chosen._asdict().items():
+        if value or value == 0:
+            files[name] = str(value) if name == "robot" else ",".join(value)
     if isinstance(relations, (str, Path)):
         files["relations"] = str(absolute(relations))
     opened = open_log(log, config.laser, topics, robot, config.assumed, frames, not config.no_odometry, units)
@@ -171,10 +168,9 @@ def of_opened(
 
     log, config, findings = settled(log, config)
     notes: list[str] = []
-    if isinstance(relations, (str, Path)):
-        relations = relations_of(log, read_relations(relations), str(relations), notes)
-    elif relations is not None:
-        relations = relations_of(log, relations, "relations", notes)
+    if relations is not None:
+        read = read_relations(relations) if isinstance(relations, (str, Path)) else relations
+        relations = relations_of(log, read, "relations" if read is relations else str(relations), notes)
     notes += map(str, findings)
     if closures := sum(len(tick.closures or ()) for tick in log.ticks):
         left = f"left out: {config.estimator} keeps no poses, isam2 does"
@@ -182,18 +178,11 @@ def of_opened(
         notes.append(f"{closures} edges between earlier poses are loop closures, and are {used}")
     config = of_log(config, log)
     if config.no_odometry:
-        _check_time(name, log)
+        stamps = [tick.stamp_ns for tick in log.ticks if tick.scan is not None]
+        if len(stamps) > 1 and float(np.median(np.diff(stamps))) < _LEAST_PERIOD_NS:
+            raise InputError(name, "found scans whose stamps tell no time", "without odometry, stamps that do")
         notes.append(WITHOUT_ODOMETRY)
     return ReplayInput(name, log, config, relations, files or {}, tuple(notes))
-
-
-def _check_time(path: str | Path, log: Log) -> None:
-    """Raise InputError for scans whose stamps do not say how fast the robot moves, which has nothing else to say it."""
-    import numpy as np
-
-    stamps = [tick.stamp_ns for tick in log.ticks if tick.scan is not None]
-    if len(stamps) > 1 and float(np.median(np.diff(stamps))) < _LEAST_PERIOD_NS:
-        raise InputError(path, "found scans whose stamps tell no time", "without odometry, stamps that do")
 
 
 def of_log(config: Config, log: Log) -> Config:
@@ -208,8 +197,6 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
 
     The scan of a stamp is the nearest within half a period. Raises InputError where no relation is left.
     """
-    import numpy as np
-
     from sixthsense.logs.log import Relations
     from sixthsense.logs.stamps import matched
 
@@ -217,12 +204,8 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
     rows = matched(stamps, relations.stamps)
     known = (rows >= 0).all(axis=1) & ((rows[:, 0] != rows[:, 1]) | (relations.stamps[:, 0] == relations.stamps[:, 1]))
     if not known.any():
-        first = relations.stamps[0, 0]
-        raise InputError(
-            name,
-            f"found no relation between scans of the log (the first is of {first:.6f})",
-            "stamps of scans of the log",
-        )
+        found = f"found no relation between scans of the log (the first is of {relations.stamps[0, 0]:.6f})"
+        raise InputError(name, found, "stamps of scans of the log")
     of_scans = stamps[rows[known]]
     off_s = float(np.abs(of_scans - relations.stamps[known]).max())
     if not known.all() or off_s > _ROUNDED_S:

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
 from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S
-from sixthsense.logs.units import SI, Units, check_bearings
+from sixthsense.logs.units import SI, Units
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -21,22 +20,17 @@ MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
-_LARGEST_STAMP_NS = LAST_STAMP_S * 1_000_000_000
 _LONGEST_SWEEP_S = 1.0
 _LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
-_LONGER, _SHORTER, _CONTRADICTS = 1.1, 0.25, 1.2  # of a sweep beside its period or scan_time; and of spans of angles
+_LONGER, _SHORTER, _CONTRADICTS = 1.1, 0.25, 1.2  # of a sweep beside its turn; and of spans of angles
 
 
 def stamp_ns(message: Any) -> int:
-    """The stamp of the header, nanoseconds."""
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-
-
-def checked_stamp(where: str, stamp_ns: int) -> int:
-    """A stamp that fits into 64 bits; InputError about `where` for any other."""
-    if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
-        raise InputError(where, f"found stamp {stamp_ns} ns", f"0 to {_LARGEST_STAMP_NS} ns")
-    return stamp_ns
+    """The stamp of the header, nanoseconds; ValueError for one that does not fit into 64 bits."""
+    stamp = message.header.stamp
+    if not 0 <= stamp.sec <= LAST_STAMP_S:
+        raise ValueError(f"found a stamp of {stamp.sec} s, allowed: 0 to {LAST_STAMP_S} s")
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def frame_name(name: str) -> str:
@@ -44,36 +38,34 @@ def frame_name(name: str) -> str:
     return str(name).lstrip("/")
 
 
-def planar(position: Any, orientation: Any) -> Pose:
-    """Position and quaternion projected onto the plane; exact for a rotation about z."""
-    x, y, z, w = (float(v) for v in (orientation.x, orientation.y, orientation.z, orientation.w))
-    values = (float(position.x), float(position.y), x, y, z, w)
-    norm = math.hypot(x, y, z, w)
-    if not (all(map(math.isfinite, (*values, norm))) and norm > 0.0):
-        raise ValueError(f"found a pose of {values}, allowed: finite numbers and a quaternion that is not zero")
-    if max(abs(values[0]), abs(values[1])) > LARGEST:
-        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {LARGEST:.0e} m")
-    if x == 0.0 and y == 0.0:
-        return Pose(values[0], values[1], 2.0 * math.atan2(z, w))
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return Pose(values[0], values[1], math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+def pose_numbers(message: Any) -> list[float]:
+    """The numbers x y z qx qy qz qw of a Pose or a Transform; ValueError unless they are finite, and a rotation."""
+    place = message.position if hasattr(message, "position") else message.translation
+    turn = message.orientation if hasattr(message, "orientation") else message.rotation
+    found = [float(value) for value in (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)]
+    if not (max(map(abs, found)) <= LARGEST and any(found[3:]) and all(map(math.isfinite, found))):
+        raise ValueError(f"found a pose of {tuple(found)}, allowed: up to {LARGEST:.0e} and a quaternion that is not 0")
+    return found
+
+
+def planar(message: Any) -> Pose:
+    """A Pose or a Transform projected onto the plane; exact for a rotation about z."""
+    x, y, _, *turn = pose_numbers(message)
+    norm = math.hypot(*turn)
+    a, b, c, w = (value / norm for value in turn)
+    if a == b == 0.0:
+        return Pose(x, y, 2.0 * math.atan2(turn[2], turn[3]))
+    return Pose(x, y, math.atan2(2.0 * (w * c + a * b), w * w + a * a - b * b - c * c))
 
 
 def transform(message: Any) -> Array:
-    """(4, 4) matrix of a geometry_msgs/Transform."""
+    """(4, 4) matrix of a Pose or a Transform."""
     from scipy.spatial.transform import Rotation  # here, since it takes a while to load
 
-    r, t = message.rotation, message.translation
-    q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
-    t_xyz = np.array([t.x, t.y, t.z], dtype=np.float64)
-    norm = math.hypot(*q)  # without intermediate overflow
-    if not (np.abs(t_xyz).max() <= LARGEST and math.isfinite(norm) and norm > 0.0):  # false for NaN
-        raise ValueError(
-            f"found a transform that is not finite, allowed: up to {LARGEST:.0e} m and a quaternion that is not zero"
-        )
+    found = np.array(pose_numbers(message))
     out = np.eye(4)
-    out[:3, :3] = Rotation.from_quat(q / norm).as_matrix()
-    out[:3, 3] = t_xyz
+    out[:3, :3] = Rotation.from_quat(found[3:] / math.hypot(*found[3:])).as_matrix()
+    out[:3, 3] = found[:3]
     return out
 
 
@@ -86,8 +78,7 @@ def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
     """The planar mount of the laser from a (4, 4) matrix, and whether the laser is upside down."""
     if abs(T_robot_laser[2, 2]) < _LEAST_UPRIGHT:
         raise ValueError("found a laser tilted out of the plane, allowed: a level one")
-    yaw = math.atan2(T_robot_laser[1, 0], T_robot_laser[0, 0])
-    return Pose(T_robot_laser[0, 3], T_robot_laser[1, 3], yaw), bool(T_robot_laser[2, 2] < 0.0)
+    return planar_of(T_robot_laser), bool(T_robot_laser[2, 2] < 0.0)
 
 
 def stated_reach(message: Any, units: Units = SI) -> float | None:
@@ -101,8 +92,7 @@ def ranges_of(message: Any, units: Units = SI) -> NDArray[np.float32]:
     rows: Any = message.ranges
     if len(rows) and hasattr(rows[0], "echoes"):
         rows = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in rows]
-    ranges = np.asarray(rows, dtype=np.float32)
-    return ranges if units.ranges == 1.0 else ranges * np.float32(units.ranges)
+    return np.asarray(rows, dtype=np.float32) * np.float32(units.ranges)
 
 
 def scan(
@@ -118,32 +108,22 @@ def scan(
     beams of a clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
     `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
-    first, step = float(message.angle_min) * units.angles, float(message.angle_increment) * units.angles
-    ranges = ranges_of(message, units)
-    low = np.float32(message.range_min) * np.float32(units.ranges)
-    high = stated_reach(message, units)
-    count = len(ranges)
-    if not 2 <= count <= MOST_BEAMS:
-        raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {MOST_BEAMS}")
-    if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
-        raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
-    if abs(step) * (count - 1) > 3.0 * math.pi and (share := angles_disagree(message)) > 1.0:
-        found = f"found an angle_increment that spans {share:.3g} times what angle_min and angle_max do"
-        raise ValueError(f"{found}, allowed: at most a full turn")
-    check_bearings(first, first + step * (count - 1))
+    ranges, high = ranges_of(message, units), stated_reach(message, units)
+    if not 2 <= len(ranges) <= MOST_BEAMS:
+        raise ValueError(f"found a scan of {len(ranges)} ranges, allowed: 2 to {MOST_BEAMS}")
+    first, step = _beams(message, len(ranges), units)
     if high is None and max_range is None:
         raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")
-    if abs(step) * (count - 1) > 2.0 * math.pi - 0.5 * abs(step):
-        count = max(2, round(2.0 * math.pi / abs(step)))
-        ranges = ranges[:count]
-        count = len(ranges)
-    reach = min(float(high or math.inf), math.inf if max_range is None else max_range)
+    if abs(step) * (len(ranges) - 1) > 2.0 * math.pi - 0.5 * abs(step):
+        ranges = ranges[: max(2, round(2.0 * math.pi / abs(step)))]
+    count = len(ranges)
+    reach = min(high or math.inf, math.inf if max_range is None else max_range)
+    low = np.float32(message.range_min) * np.float32(units.ranges)
     with np.errstate(invalid="ignore"):
         returned = (ranges <= np.float32(reach)) & ((ranges >= low) if np.isfinite(low) else (ranges > 0.0))
         ranges = np.where(returned, ranges, np.float32(np.inf))
     lag = float(message.time_increment)
-    if not 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S:
-        lag = 0.0
+    lag = lag if 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S else 0.0
     if upside_down:
         first, step = -first, -step
     if step < 0.0:
@@ -153,16 +133,32 @@ def scan(
     return Scan(ranges, np.float32(first), np.float32(step), own, T_robot_laser, np.float32(lag))
 
 
+def _beams(message: Any, count: int, units: Units) -> tuple[float, float]:
+    """Bearing of the first beam and angle between two, rad; ValueError for angles that no laser has."""
+    first, step = float(message.angle_min) * units.angles, float(message.angle_increment) * units.angles
+    if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
+        raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
+    last = first + step * (count - 1)
+    if abs(last - first) > 3.0 * math.pi:  # some drivers send a few beams more than a full turn
+        if (share := angles_disagree(message)) > 1.0:
+            found = f"found an angle_increment that spans {share:.3g} times what angle_min and angle_max do"
+            raise ValueError(f"{found}, allowed: at most a full turn")
+        found = f"found angles of {first:.6g} to {last:.6g}, which are degrees"
+        raise ValueError(f"{found}, allowed: radians, or `units` angles=degrees")
+    return first, step
+
+
 def sweep_fault(message: Any, period_s: float) -> str:
-    """Why the sweep of a LaserScan cannot be as long as it says, beside the time between scans; "" if it can."""
+    """Why the sweep of a LaserScan cannot be as long as it says, beside the time of a turn; "" if it can.
+
+    That is scan_time, if it is not far longer than the time between scans, else the time between scans.
+    """
     sweep_s, scan_s = float(message.time_increment) * (len(message.ranges) - 1), float(message.scan_time)
-    if sweep_s < 0.0:
-        return "which is negative"
-    if 0.0 < _LONGER * period_s < sweep_s:
-        return f"longer than the {period_s:.3g} s from one scan to the next"
     share = abs(float(message.angle_increment)) * (len(message.ranges) - 1) / (2.0 * math.pi)
-    if 0.0 < sweep_s < _SHORTER * share * scan_s and scan_s < 2.0 * period_s:
-        return f"a small part of a scan_time of {scan_s:.3g} s"
+    states_turn = 0.0 < scan_s < 2.0 * period_s
+    turn_s = max(scan_s, period_s) if states_turn else period_s
+    if sweep_s < 0.0 or 0.0 < _LONGER * turn_s < sweep_s or 0.0 < sweep_s < states_turn * _SHORTER * share * scan_s:
+        return f"beside {turn_s:.3g} s from one scan to the next"
     return ""
 
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,34 +150,39 @@ def read_messages(file: Path) -> tuple[list[Message], bool]:
 
     Raises InputError for a file that cannot be read, that is no record, or whose record has another format.
     """
-    from mcap.exceptions import McapError
-    from mcap.records import Channel, DataEnd, Schema
-    from mcap.records import Message as Raw
+    from mcap.exceptions import InvalidMagic
+    from mcap.reader import NonSeekingReader
 
-    columns: dict[int, np.dtype[Any]] = {}
-    channels: dict[int, tuple[str, np.dtype[Any] | None]] = {}
+    rows: dict[int, np.dtype[Any]] = {}
     found: list[Message] = []
-    record: Any = None
+    is_cut = False
     with readable(file):
         if not file.is_file():
             raise InputError(file, "no such file", "the folder of a run of this version")
         check_regular(file)
-        try:
-            with file.open("rb") as stream:
-                for record in _records(stream):
-                    if isinstance(record, Schema) and record.encoding == "rows":
-                        columns[record.id] = _row_type(json.loads(record.data))
-                    elif isinstance(record, Channel):
-                        channels[record.id] = record.topic, columns.get(record.schema_id)
-                    elif isinstance(record, Raw):
-                        name, row = channels[record.channel_id]
-                        value = json.loads(record.data) if row is None else _rows(record.data, row)
-                        found.append(Message(name, record.log_time, value))
-        except (McapError, struct.error):
-            raise InputError(file, "is not an MCAP file", "the record of a run") from None
+        with file.open("rb") as stream:
+            reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_CHUNK)
+            messages = reader.iter_messages(log_time_order=False)
+            while True:
+                try:
+                    schema, channel, message = next(messages)
+                except StopIteration:
+                    break
+                except InvalidMagic:
+                    raise InputError(file, "is not an MCAP file", "the record of a run") from None
+                except Exception:  # the writer was stopped here; an incomplete record raises any exception
+                    is_cut = True
+                    break
+                if schema is None or schema.encoding != "rows":
+                    value = json.loads(message.data)
+                else:
+                    if schema.id not in rows:
+                        rows[schema.id] = _row_type(json.loads(schema.data))
+                    value = _rows(message.data, rows[schema.id])
+                found.append(Message(channel.topic, message.log_time, value))
         if not found or found[0].channel != "run" or found[0].value["format"] != FORMAT:
             raise InputError(file, "found no record of this version", "the record of a run")
-    return found, not isinstance(record, DataEnd)
+    return found, is_cut
 
 
 @contextlib.contextmanager
@@ -207,22 +211,3 @@ def _row_type(columns: Sequence[tuple[str, str, Sequence[int]]]) -> np.dtype[Any
     if types[0][0] == "":
         return np.dtype(types[0][1:])
     return np.dtype(types)
-
-
-def _records(stream: IO[bytes]) -> Iterator[Any]:
-    """The records of all whole chunks, and `DataEnd`, which is missing from a file that ends early."""
-    from mcap.data_stream import ReadDataStream
-    from mcap.records import Chunk, DataEnd
-    from mcap.stream_reader import StreamReader, breakup_chunk, read_magic
-
-    read_magic(ReadDataStream(stream))
-    records = iter(StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=_LARGEST_CHUNK).records)
-    while True:
-        try:
-            record = next(records)
-            content = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
-        except Exception:  # the writer was stopped here; an incomplete record raises any exception
-            return
-        yield from content
-        if isinstance(record, DataEnd):
-            return

@@ -27,7 +27,6 @@ LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbe
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # which its shell writes
-_LARGEST_WHOLE = (1 << 31) - 1
 _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 26, 200
 """bytes that a compressed file may hold; text of numbers compresses to a tenth, hardly to a hundredth"""
 _LFS = b"version https://git-lfs"
@@ -55,7 +54,7 @@ class Record:
         """Raise InputError with file and line."""
         raise InputError(f"{self.path} line {self.line}", what)
 
-    def numbers(self, fields: list[bytes], largest: float = LARGEST) -> Array:
+    def numbers(self, fields: Sequence[bytes], largest: float = LARGEST) -> Array:
         """(len(fields),) finite numbers, up to `largest` in magnitude."""
         values = self.parsed(fields)
         bad = np.flatnonzero(~(np.abs(values) <= largest))
@@ -63,11 +62,19 @@ class Record:
             self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {largest:.0e}")
         return values
 
+    def parsed(self, fields: Sequence[bytes]) -> Array:
+        """(len(fields),) numbers, NaN and infinity included."""
+        try:
+            return np.array(fields, dtype=np.float64)
+        except ValueError:
+            field = next(field for field in fields if not _is_number(field))
+            comma = " with a decimal comma" * bool(re.fullmatch(rb"[-+]?\d+,\d+", field))
+            self.fail(f"found {shown(field)}{comma}, allowed: a number")
+
     def stamp_ns(self, field: bytes, parts: int = 1) -> int:
         """Nanoseconds of a stamp in `parts` of a second, from its decimal digits; a float would round to 0.1 us."""
         try:
-            # Decimal accepts underscores, unlike the other fields.
-            stamp = Decimal("nan" if field.strip(b"0123456789+-.eE") else field.decode()) / parts
+            stamp = Decimal(field.decode("ascii", "replace")) / parts
         except InvalidOperation:
             stamp = Decimal("nan")
         if not (stamp.is_finite() and abs(stamp) <= LAST_STAMP_S):
@@ -77,17 +84,9 @@ class Record:
     def whole(self, column: int, name: str) -> int:
         """A whole number, an id or a count, of 32 bits."""
         field = self.fields[column]
-        if not field.isdigit() or len(field) > 10 or int(field) > _LARGEST_WHOLE:
-            self.fail(f"found {name} {shown(field)}, allowed: a whole number, 0 to {_LARGEST_WHOLE}")
+        if not (field.isdigit() and len(field) <= 10 and int(field) < 1 << 31):
+            self.fail(f"found {name} {shown(field)}, allowed: a whole number, 0 to {(1 << 31) - 1}")
         return int(field)
-
-    def parsed(self, fields: list[bytes]) -> Array:
-        """(len(fields),) numbers, NaN and infinity included."""
-        try:
-            return np.array(fields, dtype=np.float64)
-        except ValueError:
-            field = next(field for field in fields if not _is_number(field))
-            self.fail(f"found {shown(field)}{_comma(field)}, allowed: a number")
 
 
 def _is_number(field: bytes) -> bool:
@@ -98,10 +97,6 @@ def _is_number(field: bytes) -> bool:
     return True
 
 
-def _comma(field: bytes) -> str:
-    return " with a decimal comma" if re.fullmatch(rb"[-+]?\d+,\d+", field) else ""
-
-
 def shown(field: bytes) -> str:
     """A field for an error message."""
     text = field.decode("ascii", "backslashreplace")
@@ -109,57 +104,40 @@ def shown(field: bytes) -> str:
 
 
 class Table(NamedTuple):
-    """Lines of numbers."""
+    """Lines of numbers, the first of which is a stamp."""
 
     records: list[Record]
     numbers: Array
     """(N, columns)"""
 
-    def stamps_ns(self, notes: list[str] | None = None) -> NDArray[np.int64]:
-        """(N,) stamps, nanoseconds, of the first column in seconds; in another unit if they say so, with a note."""
-        parts, name = unit_of(self.numbers[:, 0])
+    def stamps_ns(self, notes: list[str] | None = None, column: int = 0) -> NDArray[np.int64]:
+        """(N,) stamps, nanoseconds, of a column in seconds; in another unit if they say so, with a note."""
+        parts, name = unit_of(self.numbers[:, column])
         if parts > 1 and notes is not None:
-            notes.append(f"{self.records[0].path}: stamps as large as {self.numbers[0, 0]:.0f} are taken as {name}")
-        return np.array([record.stamp_ns(record.fields[0], parts) for record in self.records], dtype=np.int64)
-
-    def check(self, column: int, name: str, low: float, high: float) -> None:
-        """Fail at the first line with a number outside [low, high] in a column."""
-        values = self.numbers[:, column]
-        bad = np.flatnonzero((values < low) | (values > high))
-        if len(bad):
-            record = self.records[bad[0]]
-            record.fail(f"found {name} {shown(record.fields[column])}, allowed: {low:g} to {high:g}")
+            largest = self.numbers[0, column]
+            notes.append(f"{self.records[0].path}: stamps as large as {largest:.0f} are taken as {name}")
+        return np.array([record.stamp_ns(record.fields[column], parts) for record in self.records], dtype=np.int64)
 
 
-def read_table(path: Path, columns: str, widths: Sequence[int] = (), first_up_to: float = LARGEST) -> Table:
+def read_table(path: Path, columns: str) -> Table:
     """A line of numbers, separated by spaces, commas or semicolons, for each record; at least one.
 
-    All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises InputError,
-    naming the line, for any other line, and for numbers that are not finite or beyond `LARGEST`, `first_up_to` in the
-    first column.
+    Each line has a number for each word of `columns`. Raises InputError, naming the line, for any other line, and for
+    numbers that are not finite or beyond `LARGEST`.
     """
-    widths = widths or (len(columns.split()),)
-    found: list[Record] = []
-    for record in records(path, b",;"):
-        count = len(record.fields)
-        if count not in widths or (found and count != len(found[0].fields)):
-            comma = ", are there decimal commas?" if count in {2 * width for width in widths} else ""
-            record.fail(
-                f"found {count} fields{comma}, allowed: {' or '.join(map(str, widths))} in every line ({columns})"
-            )
-        found.append(record)
+    width = len(columns.split())
+    found = list(records(path, b",;"))
     if not found:
         raise InputError(path, "found no line of numbers", f"lines of {columns}")
-    try:
-        numbers = np.array([record.fields for record in found], dtype=np.float64)
-    except ValueError:
-        numbers = np.full((len(found), len(found[0].fields)), np.nan)
-    largest = np.array([first_up_to] + [LARGEST] * (numbers.shape[1] - 1))
-    if not (np.abs(numbers) <= largest).all():
-        for record in found:
-            record.numbers(record.fields[:1], first_up_to)  # says what is wrong in the first bad line
-            record.numbers(record.fields[1:])
-    return Table(found, numbers)
+    return Table(found, np.array([numbers_of(record, width, columns) for record in found]))
+
+
+def numbers_of(record: Record, width: int, columns: str = "", largest: float = LARGEST) -> Array:
+    """(width,) the numbers of a line, up to `largest`; InputError, naming the line, for any other line."""
+    if (count := len(record.fields)) != width:
+        comma = ", are there decimal commas?" * (count == 2 * width)
+        record.fail(f"found {count} fields{comma}, allowed: {width} in every line{f' ({columns})' * bool(columns)}")
+    return record.numbers(record.fields, largest)
 
 
 def first_word(file: Path) -> bytes:
@@ -196,15 +174,13 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
                 left -= len(line) if stream is not raw else 0
                 if left < 0:
                     raise InputError(path, "found far more text than a compressed log of this size holds", "a log")
-                if number == 1:
-                    line = line.removeprefix(_BYTE_ORDER_MARK)
-                    if line.startswith(_LFS):
-                        raise InputError(path, "found a pointer of Git LFS", "the file itself, by `git lfs pull`")
-                    if line.startswith(_UTF_16):
-                        raise InputError(path, "found text of 16 bits a letter (UTF-16)", "UTF-8 or ASCII")
+                if line.startswith(_LFS):
+                    raise InputError(path, "found a pointer of Git LFS", "the file itself, by `git lfs pull`")
+                if number == 1 and line.startswith(_UTF_16):
+                    raise InputError(path, "found text of 16 bits a letter (UTF-16)", "UTF-8 or ASCII")
                 if len(line) == LONGEST_LINE:
                     raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
-                yield number, line
+                yield number, line.removeprefix(_BYTE_ORDER_MARK)
     except FileNotFoundError:
         raise InputError(path, "no such file") from None
     except EOFError:

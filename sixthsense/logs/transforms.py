@@ -12,7 +12,7 @@ import numpy as np
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.logs.ros_messages import checked_stamp, frame_name, mount, planar_of, stamp_ns, transform
+from sixthsense.logs.ros_messages import frame_name, mount, planar_of, stamp_ns, transform
 
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 OPTION = "`odometry_frames` PARENT,CHILD"
@@ -69,26 +69,25 @@ class TransformTree:
         for one in message.transforms:
             parent, child = frame_name(one.header.frame_id), frame_name(one.child_frame_id)
             try:
-                T_parent_child = transform(one.transform)
-                own = checked_stamp("stamp", stamp_ns(one) or record_ns)
+                T_parent_child, own_ns = transform(one.transform), stamp_ns(one) or record_ns
             except ValueError as error:
                 refused.append(error)
                 continue
             if topic.endswith("tf_static"):
                 self.add_static(parent, child, T_parent_child)
             elif (link := self.add(parent, child, T_parent_child)) is not None:
-                link.stamped.append((own, record_ns, T_parent_child))
+                link.stamped.append((own_ns, record_ns, T_parent_child))
         return refused
 
     def add(self, parent: str, child: str, T_parent_child: Array) -> Link | None:
         """Add a transform of /tf to its link, which moves if it differs from the first; None for a second parent."""
         link = self.links.setdefault(child, Link(parent, T_parent_child))
-        if link.parent != parent and FramePair(parent, child) == self._named:
-            link = self.links[child] = Link(parent, T_parent_child)
-        elif link.parent != parent:
-            if FramePair(link.parent, child) != self._named:
+        if link.parent != parent:
+            if self._named not in (FramePair(parent, child), FramePair(link.parent, child)):
                 self.others.add(FramePair(parent, child))
-            return None
+            if FramePair(parent, child) != self._named:
+                return None
+            link = self.links[child] = Link(parent, T_parent_child)
         link.moves |= bool(np.abs(link.first - T_parent_child).max() > _STILL)
         return link
 
@@ -102,13 +101,9 @@ class TransformTree:
             if not link.moves and odometry not in (link.parent, child) and child not in self.links:
                 self.add_static(link.parent, child, link.first)
 
-    def root(self, frame: str, odometry: str = "") -> str:
-        """The last frame on the way from a frame to its root that is fixed to it; the frame of odometry is not."""
-        for parent, link in self._up(frame):
-            if link.moves or odometry in (parent, frame):
-                return frame
-            frame = parent
-        return frame
+    def root(self, frame: str) -> str:
+        """The last frame on the way from a frame to its root that is fixed to it."""
+        return [*self._still(frame)][-1]
 
     def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
         """`T_robot_laser`, and whether the laser is upside down; None if no constant transforms connect them.
@@ -118,9 +113,7 @@ class TransformTree:
         """
         T_up = [self._still(frame) for frame in (robot, laser)]
         shared = next((frame for frame in T_up[0] if frame in T_up[1]), None)
-        if shared is None:
-            return None
-        return mount(np.linalg.inv(T_up[0][shared]) @ T_up[1][shared])
+        return None if shared is None else mount(np.linalg.inv(T_up[0][shared]) @ T_up[1][shared])
 
     def frames(self) -> list[str]:
         """The names of all frames."""
@@ -132,27 +125,23 @@ class TransformTree:
         Not named, it is the first transform that moves on the way from the laser to its root, or the only one that
         moves at all. Raises ValueError for a pair that no way connects, or that is not the only one.
         """
-        if named is None:
-            named = self._chain_of(laser)
-        chain = self.chain(named)
-        moving = [k for k, pair in enumerate(chain) if self.links[pair.child].stamped]
-        moving = [k for k in moving if self.links[chain[k].child].moves] or moving
+        named = named or self._only(laser)
+        chain = [self.links[pair.child] for pair in self.chain(named)]
+        moving = [k for k, link in enumerate(chain) if link.moves] or [
+            k for k, link in enumerate(chain) if link.stamped
+        ]
         if len(moving) != 1:
-            inside = ", ".join(str(chain[k]) for k in moving) or "none"
-            raise ValueError(f"found {named} with {len(moving)} transforms of /tf ({inside}), allowed: one")
+            raise ValueError(f"found {named} with {len(moving)} transforms of /tf, allowed: one")
         parts = chain[: moving[0]], chain[moving[0] + 1 :]
-        before, after = (reduce(np.matmul, [self.links[p.child].first for p in part], np.eye(4)) for part in parts)
-        stamped = self.links[chain[moving[0]].child].stamped
-        return named, [(own, record, planar_of(before @ T @ after)) for own, record, T in stamped]
+        before, after = (reduce(np.matmul, [link.first for link in part], np.eye(4)) for part in parts)
+        return named, [(own, record, planar_of(before @ T @ after)) for own, record, T in chain[moving[0]].stamped]
 
     def chain(self, pair: FramePair) -> list[FramePair]:
         """The links from the parent of a pair to its child; ValueError where there is no way."""
         chain: list[FramePair] = []
-        frame = pair.child
-        for parent, _ in self._up(pair.child):
-            chain.insert(0, FramePair(parent, frame))
-            frame = parent
-            if parent == pair.parent:
+        for frame, link in self._up(pair.child):
+            chain.insert(0, FramePair(link.parent, frame))
+            if link.parent == pair.parent:
                 return chain
         known = ", ".join(map(str, [*self._moving(), *sorted(self.others)][:8])) or "no transform"
         raise ValueError(f"found no way from {pair}, but {known}, allowed: frames of /tf")
@@ -162,39 +151,34 @@ class TransformTree:
         link = self.links[pair.child]
         return [(own, T) for own, _, T in link.stamped] or [(0, link.first)]
 
-    def _chain_of(self, laser: str) -> FramePair:
+    def _only(self, laser: str) -> FramePair:
         """The pair of odometry where there is one chain: that of the laser, or the only one."""
-        frame, still = laser, []
-        for parent, link in self._up(laser):
-            if link.moves and not any(pair.child == frame for pair in self.others):
-                return FramePair(parent, frame)
-            still += [FramePair(parent, frame)] if link.stamped else []
-            frame = parent
-        moving = self._moving() or still
-        if len(moving) != 1 or self.others:
-            names = ", ".join(map(str, [*moving, *sorted(self.others)])) or "no transform"
+        up = [(FramePair(link.parent, frame), link) for frame, link in self._up(laser)]
+        found = [pair for pair, link in up if link.moves][:1] or self._moving()
+        found = found or [pair for pair, link in up if link.stamped]
+        if len(found) != 1 or any(pair.child == found[0].child for pair in self.others):
+            names = ", ".join(map(str, [*found, *sorted(self.others)])) or "no transform"
             raise ValueError(f"found {names}, of which none is odometry for sure, allowed: one named by {OPTION}")
-        return moving[0]
+        return found[0]
 
     def _moving(self) -> list[FramePair]:
         return sorted(FramePair(link.parent, child) for child, link in self.links.items() if link.moves)
 
     def _up(self, frame: str) -> Iterator[tuple[str, Link]]:
-        """The parents of a frame and the links to them, up to the root; ValueError for frames in a circle."""
+        """A frame, its parents, and the links from them, up to the root; ValueError for frames in a circle."""
         for _ in range(len(self.links) + 1):
             if frame not in self.links:
                 return
-            link = self.links[frame]
-            yield link.parent, link
-            frame = link.parent
+            yield frame, self.links[frame]
+            frame = self.links[frame].parent
         raise ValueError(f"found frames in a circle at {frame!r}, allowed: a tree")
 
     def _still(self, frame: str) -> dict[str, Array]:
         """(4, 4) T_parent_frame of a frame and all that it is fixed to, by name."""
         T, found = np.eye(4), {frame: np.eye(4)}
-        for parent, link in self._up(frame):
+        for _, link in self._up(frame):
             if link.moves:
                 break
             T = link.first @ T
-            found[parent] = T
+            found[link.parent] = T
         return found

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,9 +24,9 @@ _PAIRS, _APART_S = 400, 0.3  # pairs of scans, evenly over the log, and the time
 _BINS, _SHIFTS, _FEWEST_BINS = 180, 35, 20  # of bearings around a full turn; to either side; that both views have
 _FAR_M, _MOST_M, _CAP_RAD = 30.0, 0.5, 0.2  # ranges beyond are not compared; caps of errors
 _TURN_RAD, _FEWEST_TURNS, _NOISE_RAD = 0.05, 10, 0.005  # a pair turns by more; fewest of them; and what is seen of it
-_GRID_S, _MOST_S, _STEP_S, _NEAR_S, _LONGEST_S = 0.02, 120.0, 0.1, 1.0, 1e5
-"""of headings; of the search for other clocks; and of a log"""
-_FINE_S = 0.6  # of the search around that
+_GRID_S, _FINE_S = 0.02, 0.6  # of headings, and of the search around other clocks
+_MOST_S, _STEP_S, _NEAR_S, _LONGEST_S = 120.0, 0.1, 1.0, 1e5
+"""of the search for other clocks; and of a log"""
 _EXPLAINED, _CLEARLY, _LIKELIER = 0.7, 0.3, 20.0
 """share of the squared turns that other clocks explain, and more than others do; log likelihood ratio of a fit"""
 
@@ -53,8 +52,7 @@ class Fit(NamedTuple):
     """whether it explains most of what the scans say of turns"""
 
 
-@dataclass(frozen=True, slots=True)
-class _Turns:
+class _Turns(NamedTuple):
     """Turns between pairs of scans."""
 
     times_s: Array
@@ -62,14 +60,18 @@ class _Turns:
     turns: Array
     """(P,) rad"""
 
-    def unexplained(self, headings: _Headings, lags_s: Array, sign: int = 1) -> Array:
+    def unexplained(self, headings: _Headings, lags_s: Array) -> Array:
         """(L,) squared errors, capped, of headings that are so much later; of no turn where these are not known."""
-        seen = np.minimum(np.abs(self.turns), _CAP_RAD) ** 2
         out = []
         for lag in lags_s.tolist():
-            off = np.abs(wrap_angle(self.turns - sign * headings.turns(self.times_s - lag)))
-            out.append(float(np.where(np.isfinite(off), np.minimum(off, _CAP_RAD) ** 2, seen).sum()))
+            off = np.abs(wrap_angle(self.turns - headings.turns(self.times_s - lag)))
+            out.append(_capped(np.where(np.isfinite(off), off, self.turns)))
         return np.array(out)
+
+
+def _capped(turns: Array) -> float:
+    """Sum of squares, each capped."""
+    return float((np.minimum(np.abs(turns), _CAP_RAD) ** 2).sum())
 
 
 class _Headings(NamedTuple):
@@ -128,7 +130,6 @@ def _evenly(count: int) -> NDArray[np.int64]:
 
 def _judged(found: list[tuple[int, int, _Turns, Array]], headings: _Headings, lags: Array) -> Fit | None:
     """The likeliest of candidates, signs and delays, with what is sure of it."""
-    none = int(np.argmin(np.abs(lags)))
     candidate, sign, seen, errors = min(found, key=lambda each: float(each[3].min()))
     best = int(np.clip(np.argmin(errors), 1, len(lags) - 2))
     turns = headings.turns(seen.times_s - lags[best])
@@ -141,29 +142,26 @@ def _judged(found: list[tuple[int, int, _Turns, Array]], headings: _Headings, la
     def likelier(other: float) -> bool:
         return 0.5 * count * math.log(max(other / least, 1.0)) > _LIKELIER
 
-    variance = least / count
+    none, variance = int(np.argmin(np.abs(lags))), least / count
     wide = max(1, min(best, len(lags) - 1 - best, round(0.1 / _GRID_S)))
     bend = (errors[best - wide] + errors[best + wide] - 2.0 * least) / (wide * _GRID_S) ** 2
     good = turning & (np.abs(wrap_angle(seen.turns - turns)) < _CAP_RAD)
-    power = float(seen.turns[good] @ seen.turns[good])
-    scale = float(seen.turns[good] @ turns[good]) / max(power, 1e-12)
-    others = [float(each[3].min()) for each in found if each[0] != candidate]
-    squares = float((np.minimum(np.abs(turns[turning]), _CAP_RAD) ** 2).sum())
+    power = max(float(seen.turns[good] @ seen.turns[good]), 1e-12)
     is_inside = 0 < np.argmin(errors) < len(lags) - 1 and bend > 0.0
     return Fit(
-        candidate, sign, scale, math.sqrt(variance / max(power, 1e-12)),
+        candidate, sign, float(seen.turns[good] @ turns[good]) / power, math.sqrt(variance / power),
         float(lags[best]), math.sqrt(2.0 * variance / max(bend, 1e-9)),
         is_lag=bool(is_inside and (abs(lags[none]) > _GRID_S or likelier(float(errors[none])))),
-        is_candidate=all(map(likelier, others)), is_sure=least < (1.0 - _EXPLAINED) * squares,
+        is_candidate=all(likelier(float(each[3].min())) for each in found if each[0] != candidate),
+        is_sure=least < (1.0 - _EXPLAINED) * _capped(turns[turning]),
     )  # fmt: skip
 
 
 def _pairs(sightings: Sequence[Sighting]) -> tuple[NDArray[np.int64], Array]:
     """(P, 2) rows of scans that are compared, and (P, 2) times of the middle of their sweeps, s since the first."""
-    middles = [
+    times_s = np.array([
         1e-9 * (each.stamp_ns - sightings[0].stamp_ns) + float(each.scan.times_s.min()) / 2.0 for each in sightings
-    ]
-    times_s = np.array(middles)
+    ])  # fmt: skip
     later = np.searchsorted(times_s, times_s + _APART_S - 1e-6)
     first = np.flatnonzero(later < len(times_s))
     apart = times_s[later[first]] - times_s[first]
@@ -186,8 +184,7 @@ def _motions(odometry: Odometry, known_s: Array, times_s: Array) -> Array:
 def _other_clock(seen: _Turns, headings: _Headings) -> float:
     """Seconds by which clocks differ, as far as turns that no other difference explains say it; else 0."""
     coarse = np.arange(-_MOST_S, _MOST_S + _STEP_S, _STEP_S)
-    squares = max(float((np.minimum(np.abs(seen.turns), _CAP_RAD) ** 2).sum()), 1e-12)
-    errors = seen.unexplained(headings, coarse) / squares
+    errors = seen.unexplained(headings, coarse) / max(_capped(seen.turns), 1e-12)
     best = int(np.argmin(errors))
     others = errors[np.abs(coarse - coarse[best]) > _NEAR_S]
     is_sure = errors[best] < 1.0 - _EXPLAINED and others.min() - errors[best] > _CLEARLY
@@ -198,13 +195,15 @@ def _turns(scans: Sequence[Scan], pairs: NDArray[np.int64], times_s: Array, moti
     """Turns between pairs of scans, the earlier drawn from where motions (P, 3) of the robot have the laser later."""
     mount = np.broadcast_to(scans[0].T_robot_laser.array(), motions.shape)
     moves = between(mount, compose(motions, mount))  # of the laser, in its frame before; its turn is looked for
-    before = np.array([view(scans[k], x, y) for k, (x, y, _) in zip(pairs[:, 0].tolist(), moves.tolist(), strict=True)])
-    after = np.array([view(scans[k]) for k in pairs[:, 1].tolist()])
+    before = np.array(
+        [_view(scans[k], x, y) for k, (x, y, _) in zip(pairs[:, 0].tolist(), moves.tolist(), strict=True)]
+    )
+    after = np.array([_view(scans[k]) for k in pairs[:, 1].tolist()])
     turns, is_seen = _shifts(before, after)
     return _Turns(times_s[is_seen], turns[is_seen])
 
 
-def view(scan: Scan, x: float = 0.0, y: float = 0.0) -> NDArray[np.float32]:
+def _view(scan: Scan, x: float = 0.0, y: float = 0.0) -> NDArray[np.float32]:
     """(_BINS,) range by bearing, m, as seen from a place in the laser's frame; NaN where nothing is seen nearby."""
     out = np.full(_BINS, np.nan, dtype=np.float32)
     seen = (scan.ranges > 0.0) & (scan.ranges < min(_FAR_M, scan.max_range))

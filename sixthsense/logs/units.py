@@ -41,14 +41,3 @@ def units_of(words: Sequence[str]) -> Units:
             raise InputError("units", f"found {word!r}", allowed)
         found[name] = _NAMES[name][unit]
     return Units(**found)
-
-
-def check_bearings(first: float, last: float) -> None:
-    """Raise ValueError for bearings of the first and the last beam, rad, that can only be degrees.
-
-    Beams span at most a full turn; some drivers send a few more.
-    """
-    if 3.0 * math.pi < abs(last - first) < 366.0:
-        raise ValueError(
-            f"found angles of {first:.6g} to {last:.6g}, which are degrees, allowed: radians, or `units` angles=degrees"
-        )

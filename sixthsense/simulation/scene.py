@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,6 @@ from sixthsense.simulation.scene_files import (
 )
 from sixthsense.simulation.scene_grid import Bools, SceneGrid
 
-if TYPE_CHECKING:
-    from sixthsense.core.picture import Picture
-
 __all__ = ["InputError", "Scene", "check_placement", "load_scene", "shipped_scenes"]
 
 BODY_M = 0.25
@@ -45,8 +42,6 @@ _FINEST_M, _MOST_CELLS = 0.02, 5_000_000
 """of the grid in which places are checked: in a large scene its cells are larger"""
 _SOLID_SHARE = 0.1
 """of the largest room: a smaller one that walls enclose without a door is furniture"""
-_WIDTH_IN, _FRAME_IN = 8.0, 1.0  # of the picture, and the height of its title, axis label and legend
-_WALL, _GLASS, _GOAL, _ROBOT, _WALKER = "#4D4D4D", "#56B4E9", "#009E73", "#0072B2", "#882255"
 _NO_GLASS = np.zeros((0, 2, 2))
 
 
@@ -100,10 +95,6 @@ class Scene:
 
     def __repr__(self) -> str:
         return f"<Scene {self.summary()}>"
-
-    def plot(self) -> Picture:
-        """A picture of the scene: walls, glass, region, the robot at its start, goals and walkers."""
-        return _picture(self)
 
 
 def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = "wall") -> Scene:
@@ -292,44 +283,3 @@ def _is_in_wall(place: Array, scene: Scene) -> bool:
     cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
     turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
     return bool(turns > 0.5)
-
-
-def _picture(scene: Scene) -> Picture:
-    """The plan of a scene as a figure whose height follows from its shape."""
-    from sixthsense.core.picture import Picture  # here, since a run draws no scene
-
-    x0, y0, x1, y1 = scene.region
-    figure = Picture(_WIDTH_IN, min(max(_WIDTH_IN * (y1 - y0) / (x1 - x0), 1.5), 11.0) + _FRAME_IN)
-    ax = figure.add_subplot()
-    _draw(ax, scene)
-    figure.legend(loc="outside lower center", ncols=5, frameon=False)
-    return figure
-
-
-def _draw(ax: Any, scene: Scene) -> None:
-    """Draw walls, glass, start, goal, tour, region and walkers of a scene on axes in metres, world frame."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.patches import Circle, Rectangle
-
-    x0, y0, x1, y1 = scene.region
-    style: dict[str, Any] = {"fill": False, "edgecolor": _GLASS, "linestyle": ":", "label": "region"}
-    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, **style))
-    ax.add_collection(LineCollection(list(scene.walls), colors=_WALL, linewidths=1.5, label="walls"))
-    if len(scene.glass):
-        ax.add_collection(LineCollection(list(scene.glass), colors=_GLASS, linewidths=2.5, label="glass"))
-    for k, walk in enumerate(scene.walkers):
-        ax.plot(*zip(*walk.points, strict=True), "o--", color=_WALKER, markersize=3, label="" if k else "people")
-    if scene.tour:
-        ax.plot(*zip(*scene.tour, strict=True), "o", color=_GOAL, markersize=4, label="tour")
-        for k, point in enumerate(scene.tour, 1):
-            ax.annotate(str(k), point, xytext=(4, 4), textcoords="offset points", color=_GOAL, fontsize=8)
-    if scene.goal is not None:
-        ax.plot(*scene.goal, "*", color=_GOAL, markersize=11, label="goal")
-    if (start := scene.start) is not None:
-        ax.add_patch(Circle((start.x, start.y), scene.radius, fill=False, edgecolor=_ROBOT))
-        ax.plot([], [], "o", color=_ROBOT, fillstyle="none", label="robot at its start")
-        reach = 2.0 * scene.radius
-        end = start.x + reach * math.cos(start.theta), start.y + reach * math.sin(start.theta)
-        ax.annotate("", end, (start.x, start.y), arrowprops={"arrowstyle": "->", "color": _ROBOT})
-    ax.autoscale_view()
-    ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=scene.summary())

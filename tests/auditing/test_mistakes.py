@@ -46,8 +46,8 @@ ALONG = np.column_stack([TRUTH[:, :2], np.unwrap(HEADING) + 0.025])  # the way g
 
 
 @pytest.mark.parametrize(("given", "said"), [
-    ({"estimate": (TRUTH + ERROR) * DEGREES}, "found headings in degrees: they jump by 3"),
-    ({"estimate": (ALONG + ERROR * 0.01) * DEGREES}, "found headings in degrees: the robot goes along them only as"),
+    ({"estimate": (TRUTH + ERROR) * DEGREES}, "found headings of odometry, along which"),
+    ({"estimate": (ALONG + ERROR * 0.01) * DEGREES}, "robot goes only if they are degrees"),
     ({"estimate": (TURNING + ERROR) * DEGREES, "truth": TURNING * DEGREES}, "headings"),
     ({"covs": np.broadcast_to(COV * np.outer(DEGREES, DEGREES), (N, 3, 3))}, "are the variances in degrees²?"),
     ({"covs": np.broadcast_to(np.diag(np.sqrt(np.diag(COV))), (N, 3, 3))}, "are these sigmas in place of variances?"),

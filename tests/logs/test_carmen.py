@@ -21,7 +21,7 @@ from sixthsense.logs import open_log
 from sixthsense.logs.carmen import read_carmen
 from sixthsense.logs.diagnose import diagnose, settled
 from sixthsense.logs.laser_geometry import max_range_of
-from sixthsense.logs.log import Log, read_relations
+from sixthsense.logs.log import Log
 
 LASER = LaserConfig(beams=4, fov=math.pi, max_range=50.0)
 HEADER = "# message_name [message contents] ipc_timestamp\nPARAM robot_frontlaser_offset 0.0 nohost 0\n"
@@ -125,41 +125,6 @@ def test_plain_and_compressed_logs_give_the_same_result_under_any_name(tmp_path:
         assert [tick.stamp_ns for tick in log.ticks] == [10**9, 2 * 10**9]
 
 
-@pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
-def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: str) -> None:
-    for length in range(1, line.rindex(" ") + 1):
-        log = read(tmp_path, flaser() + line[:length], LASER)
-        assert len(log.ticks) == 1
-        assert log.found[0].place.startswith("lines are left out, the first: line 2: found ")
-
-
-@pytest.mark.parametrize(("text", "said"), [
-    ("1 2 3 4 5 6 7 8\n1 2 3\n", "line 2: found 3 fields, allowed: 8"),
-    ("1 2 3 4 5 6 7 x\n", "line 1: found 'x', allowed: a number"),
-    ("1 2 nan 4 5 6 7 8\n", "line 1: found 'nan', allowed: a finite number"),
-    ("# nothing\n", "found no line of numbers"),
-])  # fmt: skip
-def test_a_bad_table_of_numbers_is_named(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError) as caught:
-        read_relations(written(tmp_path, text, "a.relations"))
-    assert said in str(caught.value)
-    assert str(tmp_path) in str(caught.value)
-
-
-@pytest.mark.parametrize(("count", "last_deg", "step_deg"), [(181, 90.0, 1.0), (360, 89.5, 0.5)])
-def test_the_beams_of_a_flaser_line_follow_from_their_number(
-    tmp_path: Path, count: int, last_deg: float, step_deg: float
-) -> None:
-    log = read(tmp_path, flaser(ranges=np.linspace(1.0, 2.0, count)))
-    bearings = np.degrees(log.scans[0].bearings)
-    assert bearings[0] == pytest.approx(-90.0, abs=1e-5)
-    assert bearings[-1] == pytest.approx(last_deg, abs=1e-4)
-    assert np.diff(bearings) == pytest.approx(np.full(count - 1, step_deg), abs=1e-5)
-    assert log.laser is not None and log.laser.beams == count
-    assert log.laser.fov == pytest.approx(math.radians(last_deg + 90.0))
-    assert log.candidates[0][1] == pytest.approx(math.radians(step_deg))
-
-
 @pytest.mark.parametrize(("count", "span_deg", "step_deg", "side", "turn_rad", "found_deg"), [
     (181, 180.0, 1.0, 1.0, 0.06, 180.0),
     (682, 239.4140625, 0.3515625, 1.0, 0.06, 239.4140625),
@@ -188,27 +153,6 @@ def test_the_field_of_view_of_flaser_lines_is_that_which_the_turns_of_odometry_f
         again, _, found = settled(read(tmp_path, "".join(lines), log.laser), preset("log"))
         assert again.scans[7].bearings == pytest.approx(log.scans[7].bearings, abs=1e-9)
         assert not {finding.kind for finding in found} & {"field_of_view", "assumed_beams"}
-
-
-@pytest.mark.parametrize(("turned_rad", "in_degrees"), [(0.0, True), (0.0, False), (2.0, False)])
-def test_headings_along_which_a_robot_goes_only_in_degrees_are_refused(
-    tmp_path: Path, turned_rad: float, in_degrees: bool
-) -> None:
-    """Of a robot that drives forward, or, of one with wheels to all sides, elsewhere."""
-    x, y, lines = 0.3, -0.2, []
-    for k in range(60):
-        heading = 0.4 + 0.07 * k
-        x, y = x + 0.1 * math.cos(heading + turned_rad), y + 0.1 * math.sin(heading + turned_rad)
-        theta = math.degrees(heading) if in_degrees else heading
-        lines.append(f"ODOM {x:.4f} {y:.4f} {theta:.4f} 0.1 0.2 0.0 {0.2 * k:.1f} nohost 0.5\n")
-    file = written(tmp_path, "".join(lines) + flaser(13.0, robot=Pose(x, y, 0.4)))
-    if not in_degrees:
-        settled(open_log(file), preset("log"))
-        return
-    with pytest.raises(InputError, match="along which the robot goes only if they are degrees"):
-        settled(open_log(file), preset("log"))
-    log = open_log(file, units=["headings=degrees"])
-    assert log.ticks[17].odometry.theta == pytest.approx(Pose(0.0, 0.0, 0.4 + 0.07 * 17).theta, abs=1e-5)
 
 
 @pytest.mark.parametrize("max_range", [4.0, 80.0])

@@ -1,6 +1,5 @@
 """Logs of landmarks with known ids: graphs in text formats, and the folders of MRCLAM."""
 
-import csv
 import importlib.util
 import math
 from pathlib import Path
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from sixthsense import cli
 from sixthsense.config import AssumedConfig, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
@@ -118,19 +116,6 @@ def test_a_replay_is_reproducible_for_any_order_of_observations(tmp_path, kind, 
     # The smoother takes out of a range what noise would have added, and these have none.
     off = np.array(first.estimates) - np.array([pose.array() for pose in truth])
     assert np.abs(off).max() < 0.01
-
-
-@pytest.mark.parametrize("kind", ["victoria", "mrclam"])
-def test_the_command_replays_a_log_and_then_its_own_record_to_the_same_estimates(tmp_path, kind):
-    file, _ = both_orders(tmp_path, kind)
-    for log, out in ((file, "one"), (tmp_path / "one", "two")):
-        assert cli.main(["replay", str(log), "--out", str(tmp_path / out)]) == cli.DONE
-    assert not (tmp_path / "one" / "map.pgm").exists()
-    assert (tmp_path / "one" / "truth.tum").exists() == (kind == "mrclam")
-    with (tmp_path / "one" / "landmarks.csv").open() as rows:
-        assert {int(row["id"]) for row in csv.DictReader(rows)} == set(CIRCLED if kind == "victoria" else PLACES)
-    for name in ("estimate.tum", "smoothed.tum", "landmarks.csv"):
-        assert (tmp_path / "two" / name).read_text() == (tmp_path / "one" / name).read_text()
 
 
 def test_a_mrclam_folder_is_refused_without_the_robot_that_is_wanted_one_of_several_named_or_noise(tmp_path):

@@ -78,14 +78,6 @@ def test_a_carmen_log_gives_odometry_mount_and_stamps(start, step, mount, steps)
     assert log.laser.mount == pytest.approx(mount.array(), abs=2e-6) or abs(log.laser.mount[2] - mount.theta) > 6.0
 
 
-def test_where_poses_do_not_say_it_a_carmen_log_has_the_mount_and_range_of_its_parameters():
-    text = "PARAM robot_frontlaser_offset 0.35 host 0.3\nPARAM robot_front_laser_max 4.0 host 0.3\n"
-    for k in range(5):  # the laser's pose was corrected, and is no odometry
-        text += line("FLASER", 3, 2.5, 3.5, 4.5, 3.0 * k, 0.2, 0.4, 0.3 * k, 0.5, 0.6, 7.25 + k, "host", 0.7)
-    laser = open_log(written("a.log", text)).laser
-    assert (laser.mount, laser.max_range) == ((0.35, 0.0, 0.0), 4.0)
-
-
 @few
 @given(st.sampled_from(KINDS), poses, small, poses, tilts, st.booleans(), steps_ns)
 def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_frames(
@@ -158,18 +150,6 @@ def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_be
     np.testing.assert_allclose(T[0], links[1], atol=1e-9)
     ahead = links[0][:2, 0] * 0.2
     close(log.ticks[-1].odometry, Pose(x + ahead[0], y + ahead[1], yaw))
-
-
-def test_of_odometry_and_two_frames_that_a_robot_moves_in_the_named_one_is_its_odometry(tmp_path):
-    with Bag(tmp_path / "x") as bag:
-        for k in range(3):
-            bag.odometry(BEGAN + k * S // 10, Pose(0.2, 0.3, 0.4), child="base")
-            for parent, step in (("odom", 0.3), ("map", 0.7)):
-                bag.transform(parent, "base", Pose(2.0 + step * k, 3.0, 0.4), stamp_ns=BEGAN + k * S // 10)
-            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
-    for parent, step in (("odom", 0.3), ("map", 0.7)):
-        log = open_log(bag.path, odometry_frames=(parent, "base"))
-        close(log.ticks[-1].odometry, Pose(2.0 + 2.0 * step, 3.0, 0.4))
 
 
 @few
@@ -288,50 +268,6 @@ def test_a_map_is_a_scene_with_its_origin_yaw_resolution_and_shape(origin, row, 
     along = scene.walls[:, 1] - scene.walls[:, 0]
     to_centre = expected.mean(axis=0) - scene.walls[:, 0]
     assert (along[:, 0] * to_centre[:, 1] - along[:, 1] * to_centre[:, 0] > 0.0).all()
-
-
-@pytest.mark.parametrize(("unknown", "first_solid"), [("wall", 0.4), ("free", 0.6)])
-@pytest.mark.parametrize("negate", [0, 1])
-def test_cells_are_solid_from_one_threshold_on_or_above_the_other(tmp_path, unknown, first_solid, negate):
-    """Occupancy 0.4 = 153 of 255 shades is at the lower threshold, 0.6 is at the upper one."""
-    for shade in (101, 102, 103, 152, 153, 154):
-        pixels = np.full((7, 12), 0 if negate else 255)
-        pixels[2, 4] = shade
-        pixels[5, 8] = 255 if negate else 0
-        occupancy = shade / 255.0 if negate else 1.0 - shade / 255.0
-        thresholds = {"free_thresh": repr(1.0 - 153 / 255 if not negate else 102 / 255),
-                      "occupied_thresh": repr(1.0 - 102 / 255 if not negate else 153 / 255)}  # fmt: skip
-        scene = load_scene(a_map(tmp_path, pixels, "[2.5, -3.5, 0.7]", negate=negate, **thresholds), unknown)
-        at_least = occupancy >= float(thresholds["free_thresh"])
-        is_solid = at_least if unknown == "wall" else occupancy > float(thresholds["occupied_thresh"])
-        assert len(scene.walls) == (8 if is_solid else 4), shade
-
-
-def test_alpha_is_averaged_in_mode_trinary_and_makes_a_cell_unknown_in_mode_scale(tmp_path):
-    pixels = np.full((7, 12), 255, dtype=np.uint8)
-    pixels[5, 8] = 0
-    file, alpha = a_map(tmp_path, pixels, "[2.5, -3.5, 0.7]", image="m.png"), np.full((7, 12), 255, dtype=np.uint8)
-    alpha[1, 3] = 0  # white, but transparent: a mean of 0.5 with one channel, 0.75 with three
-    Image.fromarray(np.dstack([pixels, alpha])).save(tmp_path / "m.png")
-    both = len(load_scene(file).walls)
-    file.write_text(file.read_text() + "mode: scale\n")
-    assert (both, len(load_scene(file).walls), len(load_scene(file, "free").walls)) == (8, 8, 4)
-
-
-@pytest.mark.parametrize(("solid_border", "is_closed"), [(13, False), (21, True), (34, False)])
-def test_what_lies_beyond_an_image_is_solid_if_most_of_its_border_is_and_not_all(tmp_path, solid_border, is_closed):
-    """Of 34 border pixels; a free place that the image cuts off is closed by walls beyond it, shifted by no cell."""
-    pixels = np.full((7, 12), 254)
-    border = [(r, c) for r in range(7) for c in range(12) if r in (0, 6) or c in (0, 11)]
-    for r, c in border[:solid_border]:
-        pixels[r, c] = 0
-    file = a_map(tmp_path, pixels, "[2.5, -3.5, 0]")
-    scene = load_scene(file)
-    x0, y0, x1, y1 = scene.region
-    expected = (2.35, -3.65, 4.45, -2.3) if is_closed else (2.5, None, 4.3, -2.45)
-    for found, wanted in zip((x0, y0, x1, y1), expected, strict=True):
-        assert wanted is None or found == pytest.approx(wanted)
-    assert load_scene(file, "free").region[2] <= 4.3 + 1e-9
 
 
 def test_a_map_that_a_run_writes_is_a_scene_at_the_same_place(tmp_path):

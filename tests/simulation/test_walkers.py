@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scanned import box
-from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Command
 from sixthsense.simulation.scene import Scene, load_scene, walking_grid
 from sixthsense.simulation.scene_files import ScriptedWalk
@@ -89,31 +88,6 @@ def test_a_way_is_as_short_as_dijkstras() -> None:
         assert len(way) <= 4  # straight but for the door
 
 
-def test_a_way_keeps_off_discs_and_goes_between_no_two_cells_that_meet_at_a_corner() -> None:
-    grid, free = walking_grid(scene_of(DIVIDED))
-    start, goal, disc = (at(*place).position for place in ((1.0, 2.3), (3.2, 2.2), (2.1, 2.0)))
-    direct, around = grid.way(free, start, goal), grid.way(free, start, goal, [(disc, 0.9)])
-    assert len(direct) == 2
-    ends = np.stack([around[:-1], around[1:]], axis=1)
-    assert point_segment_distance(disc, ends).min() == pytest.approx(0.9, abs=0.15)
-    assert grid.way(free, start, goal, [(start - [0.3, 0.0], 0.3)]) is not None  # from the edge of a disc
-    free[:] = False
-    free[10:13, 10:13] = free[13:16, 13:16] = True
-    assert grid.way(free, *grid.centres(np.array([[11, 11], [14, 14]]))) is None
-
-
-def test_a_place_in_a_wall_is_reached_at_the_nearest_free_one_and_a_closed_room_is_not() -> None:
-    grid, free = walking_grid(scene_of(DIVIDED))
-    for place, is_free in (((3.7, 1.0), True), ((3.85, 1.0), False), ((-0.4, 1.0), False), ((2.0, 4.4), False)):
-        assert grid.at(free, at(*place).position) == is_free
-    way = grid.way(free, at(1.0, 3.0).position, at(4.1, 0.7).position)  # in the wall, nearer to the far room
-    assert way[-2][0] - CORNER[0] > 3.9 and len(way) > 2
-    closed, free = walking_grid(scene_of(WALLED))
-    around = closed.reachable(free, at(1.0, 1.0).position)
-    assert around[:, :38].any() and not around[:, 40:].any()
-    assert closed.way(free, at(1.0, 1.0).position, at(6.0, 1.0).position) is None
-
-
 def test_walks_that_cannot_be_are_refused_by_their_point(tmp_path: Path) -> None:
     text = f"start = [-1.3, 4.4, 0.3]\nradius = 0.2\nwalls = {WALLED.reshape(-1, 4).tolist()}\n"
     for walk_text, said in (
@@ -141,33 +115,6 @@ def test_a_scripted_walk_has_its_speed_and_its_pause_at_each_point() -> None:
         [1.5, 2.7, 0.8], abs=0.25
     )
     assert people.headings[0] == pytest.approx(people.headings[0]) and people.poses.shape == (1, 3)
-
-
-def test_people_have_speeds_and_pauses_of_a_range_and_begin_a_metre_apart() -> None:
-    speeds, pauses, apart = [], [], []
-    for seed in range(12):
-        people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=4, seed=seed)
-        places = np.vstack([at(1.0, 1.0).position, people.at])
-        apart.append(min(math.dist(a, b) for a, b in itertools.combinations(places, 2)))
-        found = tracks(people, 40.0)
-        off_walls = min(point_segment_distance(p + CORNER, DIVIDED).min() for p in found[::100].reshape(-1, 2))
-        assert off_walls > 0.25 - 0.08  # by cells of 0.1 m
-        moved = np.linalg.norm(np.diff(found, axis=0), axis=2) / 0.02
-        speeds += moved.max(axis=0).tolist()
-        pauses += [np.argmax(moved[:, k] > 0.0) * 0.02 for k in range(4)]
-    assert 1.0 <= min(apart) < 1.6
-    for values, low, high in ((speeds, 0.5, 1.5), (pauses, 0.0, 10.0)):
-        assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3
-        assert min(values) >= low and max(values) <= high + 0.3
-
-
-def test_someone_goes_through_the_door_to_places_all_over() -> None:
-    people = walkers(walls=DIVIDED, start=at(1.0, 1.0), walkers=1, seed=5)
-    found = tracks(people, 200.0)[:, 0]
-    stands = (np.linalg.norm(np.diff(found, axis=0), axis=1) == 0.0).astype(int)
-    begins = np.flatnonzero(np.diff(stands) == 1)
-    places = np.array([found[k] for k in begins if stands[k + 1 : k + 40].all()])
-    assert len(places) > 8 and np.ptp(places, axis=0).min() > 1.5 and 0.2 < (places[:, 0] > 4.0).mean() < 0.8
 
 
 def test_the_same_seed_gives_the_same_people_and_no_people_draw_nothing() -> None:
@@ -223,27 +170,6 @@ def test_a_blind_walker_who_is_faster_than_the_robot_that_it_meets_is_to_blame()
         assert math.dist(people.at[0], at(6.0 - (k + 1) * step, 2.0).position) > 0.2 + 0.25 - 0.03
 
 
-def test_one_leg_stands_while_the_other_swings_beside_the_body() -> None:
-    people = walkers(walk((1.0, 1.0), (7.0, 3.0)))
-    tracks(people, 0.4)
-    heading = math.atan2(2.0, 6.0)
-    ahead, aside, seen = [], [], []
-    for _ in range(40):
-        before, body = people.legs(), people.at
-        tracks(people, 0.02)
-        moved = (people.legs()[:, :2] - before[:, :2]) / 0.02
-        seen.append(np.abs(np.linalg.norm(moved, axis=1) - np.linalg.norm(before[:, 3:], axis=1)).max())
-        offset = before[:, :2] - body
-        ahead.append(offset @ [math.cos(heading), math.sin(heading)])
-        aside.append(offset @ [-math.sin(heading), math.cos(heading)])
-    assert people.headings[0] == pytest.approx(heading, abs=0.03)
-    assert np.median(seen) < 1e-6  # they move as is said, but where they change
-    assert np.allclose(np.abs(aside), 0.1, atol=0.02) and np.abs(np.sum(ahead, axis=1)).max() < 1e-9
-    assert np.max(ahead) == pytest.approx(0.2, abs=0.02)
-    assert np.sort(np.hypot(before[:, 3], before[:, 4])) == pytest.approx([0.0, 2.6], abs=1e-6)
-    assert before[:, 2].tolist() == [0.06, 0.06]
-
-
 def test_a_scan_sees_the_legs_as_discs_and_the_draws_of_the_noise_stay_the_same() -> None:
     start = at(1.0, 2.0, 0.4)
     scene = Scene("hall", HALL, start, 0.2, None, (), REGION, walkers=(walk((3.0, 2.0)),))
@@ -257,14 +183,3 @@ def test_a_scan_sees_the_legs_as_discs_and_the_draws_of_the_noise_stay_the_same(
     to_legs = np.linalg.norm(points[:, None] - legs[None], axis=2)
     assert np.allclose(to_legs.min(axis=1), 0.06, atol=1e-3) and (to_legs.min(axis=0) < 0.061).all()
     assert np.array_equal(seen.walkers, people.poses) and clear.walkers is None
-
-
-def test_people_walk_by_the_time_of_a_control_tick_and_their_touches_are_told() -> None:
-    start = at(4.0, 2.0)
-    scene = Scene("hall", HALL, start, 0.2, None, (), REGION, walkers=(walk((1.0, 2.0), (7.0, 2.0)),))
-    config = preset("noiseless", world={"walkers_blind": True}, robot={"control_period_s": 0.04})
-    people = walkers_of(scene, config, start, 0.2)
-    source = World(HALL, start, 0.2, config, np.random.default_rng(1), walkers=people)
-    ticks = [source.step(Command()) for _ in range(100)]
-    speeds = np.linalg.norm(np.diff([tick.walkers[0, :2] for tick in ticks], axis=0), axis=1) / 0.04
-    assert speeds.max() == pytest.approx(1.3) and ticks[-1].touches == (0, 1)
