@@ -1,7 +1,6 @@
 """Monte Carlo campaigns: many runs on many machines, one table row per run (`sixthsense campaign`, `ss.campaign`)."""
 
 from sixthsense.campaigns.call import Campaign as Campaign
-from sixthsense.campaigns.call import Execution as Execution
 from sixthsense.campaigns.call import complete as complete
 from sixthsense.campaigns.call import load_campaign as load_campaign
 from sixthsense.campaigns.folder import CampaignRows as CampaignRows

@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from pydantic import Field
 
-from sixthsense.campaigns.cluster import Cluster, check_workers, connect
+from sixthsense.campaigns.cluster import Cluster, check_workers
 from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, read_folder, save_folder
 from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, campaign_of, plan
@@ -37,53 +36,46 @@ if TYPE_CHECKING:
     from sixthsense.config.fields import CampaignFields
 
 
-@dataclass(frozen=True, slots=True)
-class Execution:
-    """Where runs are made, and what is shown meanwhile."""
-
-    workers: int | None = None
-    """number of local processes; None: one per processor"""
-    scheduler: str | None = None
-    """address of a Dask scheduler, whose workers make the runs instead"""
-    retry_failed: bool = False
-    """repeat the runs that raised"""
-    progress: bool | None = None
-    """whether a bar is shown; None: in a notebook and at an interactive terminal"""
-    say: Callable[[str], object] = lambda line: None
-    """is told how many runs there are, and where"""
-
-
-def complete(campaign: CampaignPlan, runs: Mapping[str, Config], out: Path, execution: Execution) -> None:
+def complete(
+    campaign: CampaignPlan,
+    runs: Mapping[str, Config],
+    out: Path,
+    workers: int | None = None,
+    *,
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    progress: bool | None = None,
+    say: Callable[[str], object] = lambda line: None,
+) -> None:
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
-    Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
-    campaign, for workers that will not do, and if the scheduler is lost; FolderInUseError; OSError that names a file.
+    They are made by `workers` processes of this machine, by default one per processor, or by the workers of a Dask
+    `scheduler`. With `retry_failed` the runs that raised are repeated. `progress` is whether a bar is shown, and `say`
+    gets a line on how many runs there are, and where. Each row is written when its run ends, also if an interrupt
+    follows. Raises InputError for the folder of another campaign, for workers that will not do, and if the scheduler is
+    lost; FolderInUseError; OSError that names a file.
     """
     check_folder(out, campaign)
     with FolderLock(out):
         saved, rows = check_folder(out, campaign), CampaignRows(out)
         known = rows.rows.read()
-        done = {key for key, row in known.items() if not (execution.retry_failed and row["outcome"] == FAILED)}
+        done = {key for key, row in known.items() if not (retry_failed and row["outcome"] == FAILED)}
         missing = {key: config for key, config in runs.items() if key not in done}
         if not missing:
-            save_folder(out, campaign, saved)
-            execution.say(f"all {len(runs)} runs are already in {out}/")
+            save_folder(out, saved)
+            say(f"all {len(runs)} runs are already in {out}/")
             return
-        if execution.scheduler is None:
-            prepare(execution.say)  # once, not by each worker
-        local = Processes(execution.workers, functools.partial(import_again, dict(searched)))
-        with local if execution.scheduler is None else connect(execution.scheduler) as executor:
-            dashboard = ""
+        if scheduler is None:
+            prepare(say)  # once, not by each worker
+        local = Processes(workers, partial(import_again, dict(searched)))
+        with local if scheduler is None else Cluster(scheduler) as executor:
             if isinstance(executor, Cluster):
                 check_workers(executor.client, campaign)
-                dashboard = f"; dashboard {executor.client.dashboard_link}"
-            save_folder(out, campaign, saved)
+                say(f"dashboard {executor.client.dashboard_link}")
+            save_folder(out, saved)
             existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
-            workers = f"{executor.workers} worker{'s' * (executor.workers != 1)}"
-            execution.say(f"{len(runs)} runs{existing}; {workers}{dashboard}")
-            with progress_bar(
-                execution.progress, total=len(missing), desc="campaign", unit=" runs", leave=False
-            ) as bar:
+            say(f"{len(runs)} runs{existing}; {executor.workers} worker{'s' * (executor.workers != 1)}")
+            with progress_bar(progress, total=len(missing), desc="campaign", unit=" runs", leave=False) as bar:
                 for key, future in carry_out(executor, partial(run_row, version=__version__), missing):
                     rows.add(_row(future, missing[key]))
                     bar.update()
@@ -160,7 +152,7 @@ def campaign(
     each = tuple(seeds) if isinstance(seeds, Iterable) and not isinstance(seeds, str) else seeds
     every = checked("seeds", Annotated[tuple[Count, ...], Field(min_length=1)], each)
     planned = campaign_of(axes, every, given, task_of(given))
-    complete(planned, plan(planned), Path(out), Execution(workers, None, retry_failed, progress))
+    complete(planned, plan(planned), Path(out), workers, retry_failed=retry_failed, progress=progress)
     return Campaign(out)
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Iterator
-from typing import Any
+from typing import Any, Self
 
 from sixthsense.campaigns.plan import CampaignPlan, own_parts
 from sixthsense.campaigns.worker import describe, one_line
@@ -20,42 +18,35 @@ REACH_S = 5.0
 class Cluster:
     """The workers of a scheduler. Dask repeats the run of a lost worker, and raises KilledWorker after four of them."""
 
-    def __init__(self, client: Any) -> None:
-        """Use the workers that a client of Dask has."""
-        self.client = client
-        self.submit = client.get_executor(pure=False).submit
+    def __init__(self, scheduler: str) -> None:
+        """Connect with the scheduler at an address.
+
+        Raises InputError if Dask is missing, and if the scheduler cannot be reached or has no workers.
+        """
+        distributed = import_extra("distributed", "campaign")
+        for name in logging.root.manager.loggerDict:  # rows and errors tell what is lost
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+        try:
+            self.client = distributed.Client(scheduler, timeout=REACH_S)
+            self.client.wait_for_workers(1, timeout=REACH_S)
+        except Exception as error:  # malformed address, network error, or a listener that is not a scheduler
+            allowed = "the address of a running dask scheduler with workers, such as tcp://127.0.0.1:8786"
+            found = f"{shown(scheduler)} cannot be reached, or has no workers ({one_line(error)})"
+            raise InputError("scheduler", found, allowed) from None
+        self.submit = self.client.get_executor(pure=False).submit
         """begins a call"""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.client.close()
 
     @property
     def workers(self) -> int:
         """The number of workers, which may join and leave."""
         return len(self.client.nthreads())
-
-
-@contextlib.contextmanager
-def connect(scheduler: str) -> Iterator[Cluster]:
-    """The workers of the scheduler at an address.
-
-    Raises InputError if Dask is missing, if the scheduler cannot be reached, and if it has no workers.
-    """
-    distributed = import_extra("distributed", "campaign")
-    for name in logging.root.manager.loggerDict:  # rows and errors tell what is lost
-        if name.partition(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    try:
-        client = distributed.Client(scheduler, timeout=REACH_S)
-    except Exception as error:  # malformed address, network error, or a listener that is not a scheduler
-        allowed = "the address of a running dask scheduler, such as tcp://127.0.0.1:8786"
-        found = f"{shown(scheduler)} cannot be reached ({one_line(error)})"
-        raise InputError("scheduler", found, allowed) from None
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=REACH_S)
-        except TimeoutError:
-            found = f"{shown(scheduler)} has no workers after {REACH_S:g} s"
-            allowed = f"a scheduler with workers, started with dask worker {scheduler}"
-            raise InputError("scheduler", found, allowed) from None
-        yield Cluster(client)
 
 
 def check_workers(client: Any, campaign: CampaignPlan) -> None:
@@ -64,8 +55,7 @@ def check_workers(client: Any, campaign: CampaignPlan) -> None:
     Every worker must have this version of the package, this minor version of Python, parts that it can import, and
     scenes of the same content.
     """
-    scenes, map_unknown = campaign.values["scene"], campaign.bases()[0].map_unknown
-    asked = scenes, map_unknown, own_parts(campaign.settings())
+    asked = campaign.values["scene"], campaign.bases()[0].map_unknown, own_parts(campaign.settings())
     own = describe(*asked)
     for address, answer in client.run(describe, *asked, on_error="return").items():
         if isinstance(answer, BaseException):

@@ -16,7 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
@@ -61,25 +61,9 @@ class Rows:
         with naming(self.file):
             self.file.parent.mkdir(parents=True, exist_ok=True)
             with self.file.open("ab+") as stream:
-                if end := stream.tell():
-                    stream.seek(end - 1)
-                    if stream.read() != b"\n":
-                        stream.seek(0)
-                        stream.truncate(stream.read().rfind(b"\n") + 1)
+                stream.seek(0)
+                stream.truncate(stream.read().rfind(b"\n") + 1)
                 stream.write(json.dumps(row).encode() + b"\n")
-
-
-class Executor(Protocol):
-    """What makes runs."""
-
-    @property
-    def workers(self) -> int:
-        """The number of runs that it makes at a time, at present."""
-        ...
-
-    def submit(self, function: Callable[[T], Any], item: T) -> Future[Any]:
-        """Begin a call."""
-        ...
 
 
 class LostWorkerError(Exception):
@@ -87,13 +71,14 @@ class LostWorkerError(Exception):
 
 
 def carry_out(
-    executor: Executor, function: Callable[[T], Any], items: Mapping[str, T], until: float = math.inf
+    executor: Any, function: Callable[[T], Any], items: Mapping[str, T], until: float = math.inf
 ) -> Iterator[tuple[str, Future[Any]]]:
     """Key and finished future of each call of `function` on an item, as they end.
 
-    No more begin than there are workers, and none after the time `until`, s. A process that dies breaks its pool: the
-    calls that were running begin once more, one after the other, so that the one whose process dies again is known; its
-    future has a LostWorkerError. Those that run when the iterator is closed are cancelled.
+    The executor has a method `submit`, and the number of its `workers`, at present. No more calls begin than there are
+    workers, and none after the time `until`, s. A process that dies breaks its pool: the calls that were running begin
+    once more, one after the other, so that the one whose process dies again is known; its future has a LostWorkerError.
+    Those that run when the iterator is closed are cancelled.
     """
     waiting, running = iter(items.items()), dict[Future[Any], tuple[str, T]]()
     again: list[tuple[str, T]] = []

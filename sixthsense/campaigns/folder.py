@@ -1,4 +1,4 @@
-"""The folder of a campaign: `campaign.toml` with the axes and shared fields, and the rows of its runs.
+"""The folder of a campaign: `campaign.toml` with the shared fields, and the rows of its runs.
 
 `rows.jsonl` has a row of metrics for each run, a JSON object per line; `curves/` an NPZ file with the errors along it.
 """
@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import field_validator
 
 from sixthsense.campaigns.engine import Rows
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, ranges, seed_range
+from sixthsense.campaigns.plan import AXES, CampaignPlan
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.config import Section
-from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.errors import InputError
 from sixthsense.config.files import instead_of, read_table
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import CURVES as COLUMNS
 from sixthsense.evaluation.groups import flat
+from sixthsense.logs.runfolder import readable
 from sixthsense.record.writing import LOCK, whole
 
 if TYPE_CHECKING:
@@ -37,10 +37,8 @@ ORDER = (*AXES, "seed")
 
 
 class Saved(Section):
-    """The content of `campaign.toml`."""
+    """The content of `campaign.toml`: what all runs of a campaign have in common."""
 
-    axes: dict[str, list[str]]
-    """the values of each axis; seeds as ranges"""
     fields: dict[str, Any]
     """nested table that the runs share, without the axes"""
     scenes: dict[str, str]
@@ -48,64 +46,40 @@ class Saved(Section):
     versions: dict[str, str]
     """of the package that made the runs"""
 
-    @field_validator("axes")
-    @classmethod
-    def _complete(cls, axes: dict[str, list[str]]) -> dict[str, list[str]]:
-        """InputError for an axis that is missing, and for seeds that are no ranges."""
-        for axis in (*ALWAYS, "seeds"):
-            if axis not in axes:
-                raise InputError(axis, "found nothing", "a list of texts")
-        for text in axes["seeds"]:
-            seed_range(text)
-        return axes
 
-
-def check_folder(folder: Path, campaign: CampaignPlan) -> Saved | None:
-    """Check the output folder and return its `campaign.toml`, or None for a new or empty folder.
+def check_folder(folder: Path, campaign: CampaignPlan) -> Saved:
+    """Check the output folder and return its `campaign.toml` with the scenes of the campaign added.
 
     Raises InputError for a file, for a folder that is not a campaign's, and for a campaign by another version, with
     other shared fields or changed scenes. The axes may have other values: scenes, presets, parts, seeds can be added.
     """
-    allowed = "a new or empty folder, or that of this campaign"
-    if folder.exists() and not folder.is_dir():
-        raise InputError("out", f"{folder} is a file", allowed)
-    if not folder.exists() or all(entry.name == LOCK for entry in folder.iterdir()):
-        return None
+    allowed, fields = "a new or empty folder, or that of this campaign", dict(campaign.fields)
+    made = Saved(fields=fields, scenes=campaign.digests(), versions={"sixthsense": __version__})
+    if not folder.exists() or (folder.is_dir() and all(entry.name == LOCK for entry in folder.iterdir())):
+        return made
     if not (folder / FILE).is_file():
         kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"
-        raise InputError("out", f"{folder} is {kind}", allowed)
+        raise InputError("out", f"{folder} is {kind if folder.is_dir() else 'a file'}", allowed)
     saved = read_folder(folder)
-    if (version := saved.versions.get("sixthsense")) != __version__:
-        raise InputError("out", f"{folder} has runs by version {version} of sixthsense", f"{__version__}; {allowed}")
-    before, now = flat(saved.fields), flat(campaign.fields)
-    for name in dict.fromkeys([*before, *now]):
-        if before.get(name) != now.get(name):
-            old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
-            raise InputError("out", f"{folder} is a campaign with {name} = {old}, found {new}", allowed)
-    for scene, digest in campaign.digests().items():
-        if saved.scenes.get(scene, digest) != digest:
-            raise InputError("out", f"the scene {scene} has changed since {folder} was created", allowed)
-    return saved
+    for table in ("versions", "fields", "scenes"):
+        before, now = flat(getattr(saved, table)), flat(getattr(made, table))
+        names = [*before, *now] if table == "fields" else [name for name in now if name in before]
+        for name in dict.fromkeys(names):
+            if before.get(name) != now.get(name):
+                old, new = (shown(one[name]) if name in one else "the preset's" for one in (before, now))
+                raise InputError("out", f"{folder} is a campaign with {name} = {old}, found {new}", allowed)
+    return saved.replaced(scenes={**saved.scenes, **made.scenes})
 
 
-def save_folder(folder: Path, campaign: CampaignPlan, saved: Saved | None) -> None:
-    """Write `campaign.toml` atomically, with the axes of `saved` extended by those of the campaign.
-
-    Raises OSError that names the file.
-    """
+def save_folder(folder: Path, saved: Saved) -> None:
+    """Write `campaign.toml`, if it has changed, as a whole or not at all; raises OSError that names the file."""
     import tomli_w
 
-    axes, scenes, seeds = campaign.axes(), campaign.digests(), list(campaign.seeds)
-    if saved is not None:
-        seeds += [seed for text in saved.axes["seeds"] for seed in seed_range(text)]
-        both = {axis: [*saved.axes.get(axis, ()), *axes.get(axis, ())] for axis in {**saved.axes, **axes}}
-        axes = {axis: list(dict.fromkeys(values)) for axis, values in both.items()} | {"seeds": ranges(seeds)}
-        scenes = {**saved.scenes, **scenes}
-    if saved is None or (axes, scenes) != (saved.axes, saved.scenes):
-        table = {"axes": axes, "fields": campaign.fields, "scenes": scenes, "versions": {"sixthsense": __version__}}
-        folder.mkdir(parents=True, exist_ok=True)
-        with whole(folder / FILE) as file:
-            file.write_bytes(tomli_w.dumps(table).encode())
+    if (folder / FILE).is_file() and read_folder(folder) == saved:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with whole(folder / FILE) as file:
+        file.write_bytes(tomli_w.dumps(saved.model_dump()).encode())
 
 
 def read_folder(folder: Path) -> Saved:
@@ -153,10 +127,7 @@ class CampaignRows:
 
         found = {}
         for file in sorted(self._curves.glob("run-*.npz")):
-            try:
-                with np.load(file) as columns:
-                    values = {name: columns[name].astype(np.float64) for name in COLUMNS}
-            except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
-                raise InputError(file, f"cannot be read ({reason_of(error)})", "the curves of a run") from None
-            found[file.stem.removeprefix("run-")] = pd.DataFrame(values)
+            with readable(file), np.load(file) as columns:
+                values = {name: columns[name].astype(np.float64) for name in COLUMNS}
+                found[file.stem.removeprefix("run-")] = pd.DataFrame(values)
         return found

@@ -41,10 +41,6 @@ class CampaignPlan:
     fields: Mapping[str, Any]
     """nested table in the form of a configuration file, without the axes"""
 
-    def axes(self) -> dict[str, list[str]]:
-        """The values of each axis as lists of texts; seeds as ranges."""
-        return {**{axis: list(values) for axis, values in self.values.items()}, "seeds": ranges(self.seeds)}
-
     def bases(self) -> list[Config]:
         """The configuration of each preset with the shared fields."""
         return [merge(preset(name), self.fields) for name in self.values["preset"]]
@@ -153,15 +149,6 @@ def seed_range(text: str) -> range:
     if last - first > MOST_RUNS:
         raise InputError("seeds", f"found {last - first} seeds", f"at most {MOST_RUNS}")
     return range(first, last)
-
-
-def ranges(seeds: Iterable[int]) -> list[str]:
-    """The seeds as ascending texts `FIRST:LAST`, the inverse of `seed_range`."""
-    texts: list[str] = []
-    for _, group in itertools.groupby(enumerate(sorted(set(seeds))), lambda pair: pair[1] - pair[0]):
-        values = [seed for _, seed in group]
-        texts.append(f"{values[0]}:{values[-1] + 1}")
-    return texts
 
 
 def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import socket
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -28,20 +27,14 @@ _run_lock = threading.Lock()
 def describe(
     scenes: Sequence[str], map_unknown: Literal["wall", "free"], parts: Sequence[tuple[str, str]] = ()
 ) -> dict[str, str]:
-    """What must be equal on all workers: versions, each part that is not shipped, and the hash of each scene."""
-    found = {"Python": ".".join(platform.python_version_tuple()[:2]), "sixthsense": __version__}
+    """What must be equal on all workers: versions, and the hash of each scene.
+
+    Raises InputError for a part, by kind and name, that cannot be imported, and for a scene that cannot be loaded.
+    """
     for kind, name in parts:
-        try:
-            next(known for known in KINDS if known.kind == kind).load(name)
-            found[f"{kind} {name}"] = "one that can be imported"
-        except ValueError as error:
-            found[f"{kind} {name}"] = f"{error} in {sys.prefix}"
-    for scene in scenes:
-        try:
-            found[f"scene {scene}"] = scene_digest(scene, map_unknown)
-        except ValueError as error:
-            found[f"scene {scene}"] = str(error)
-    return found
+        next(known for known in KINDS if known.kind == kind).load(name)
+    found = {"Python": ".".join(platform.python_version_tuple()[:2]), "sixthsense": __version__}
+    return found | {f"scene {scene}": scene_digest(scene, map_unknown) for scene in scenes}
 
 
 def row_of(config: Config) -> dict[str, Any]:
@@ -72,10 +65,7 @@ def run_row(config: Config, version: str) -> dict[str, Any]:
 
 def failed_row(config: Config, error: BaseException) -> dict[str, Any]:
     """The row of a run whose worker has failed."""
-    # The message of Dask's KilledWorker is several sentences long.
-    is_killed = type(error).__name__ == "KilledWorker"
-    reason = f"LostWorkerError: {error.args[2] + 1} workers died in this run" if is_killed else one_line(error)
-    return {**row_of(config), "version": __version__, "outcome": FAILED, "error": reason}
+    return {**row_of(config), "version": __version__, "outcome": FAILED, "error": one_line(error)}
 
 
 def one_line(error: BaseException) -> str:

@@ -65,7 +65,7 @@ class Campaign(Options):
     def run(self, flags: Table) -> int:
         """Make the runs of a campaign that are missing in its folder."""
         out = _checked_folder(self, flags)
-        from sixthsense.campaigns import Execution, complete
+        from sixthsense.campaigns import complete
         from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
 
         file = _read_config_table(self.config, self.preset)
@@ -76,10 +76,12 @@ class Campaign(Options):
         seeds = (seed for text in self.seeds for seed in seed_range(text))
         campaign = campaign_of(axes, seeds, file, task_of(flags), flags)
         runs = plan(campaign)
-        execution = Execution(self.workers, self.scheduler, self.retry_failed, say=announce)
         interrupted = False
         try:
-            complete(campaign, runs, out, execution)
+            complete(
+                campaign, runs, out, self.workers,
+                scheduler=self.scheduler, retry_failed=self.retry_failed, say=announce,
+            )  # fmt: skip
         except KeyboardInterrupt:
             interrupted = True
         return _finish(out, runs, interrupted)

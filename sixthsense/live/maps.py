@@ -28,8 +28,6 @@ class MapSender:
     def __init__(self, writer: Writer, say: Callable[[str], object]) -> None:
         """`writer` is of `MAP`; `say` prints a line if the map cannot be sent."""
         self._writer, self._say, self._messages = writer, say, Messages()
-        self.seen_m2 = 0.0
-        """area of the map as it was drawn last"""
         self._mapper: Mapper | None = None
         self._cell_m = 0.0
         self._news: tuple[int, Additions] | None = None  # stamp of the latest keyframe, and what the map has gained
@@ -75,7 +73,6 @@ class MapSender:
         assert self._mapper is not None
         self._mapper.take(additions)
         grid = self._mapper.draw()
-        self.seen_m2 = grid.seen_area_m2
         cells = grid.occupancy()
         if cells.size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES:
             if not self._is_too_large:

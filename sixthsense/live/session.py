@@ -108,7 +108,6 @@ class Session:
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
         self._odometry = self._node.reader(topics.odometry)
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
-        self._wait: Callable[[float], object] = self._node.wait
         self._commands: str | None = None  # their type
         self._open = contextlib.ExitStack()
         self._open.callback(self._node.close)
@@ -151,10 +150,6 @@ class Session:
             laser = laser.replaced(period_ticks=ticks)
         self.config = self.config.replaced(laser=laser, robot=robot)
 
-    def seen_m2(self) -> float:
-        """Area of the map as it was drawn last."""
-        return self._maps.seen_m2
-
     def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
         """Run the loop until the task is over, or until the command is ended; the robot is then stopped."""
         config = self.config
@@ -172,7 +167,6 @@ class Session:
                 clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)
                 send = stack.enter_context(Commands(writer.send, clock if kind == TWIST_STAMPED else None)).send
                 steering = Steering(ahead, send, lambda: writer.readers)
-            self._wait = trace.stopwatch.waiting(self._node.wait)
             readers, start = (
                 (self._reader, self._laser),
                 self._start if prior is None or prior.pose is None else _no_start,
@@ -209,7 +203,7 @@ class Session:
 
     def _received(self, timeout_s: float) -> Iterator[Received]:
         """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
-        self._wait(timeout_s)
+        self._node.wait(timeout_s)
         for data in self._transforms.take():
             try:
                 self._reader.add_transforms(data, self._frames)

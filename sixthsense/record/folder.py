@@ -130,14 +130,10 @@ class RunFolder:
         return kept
 
     def _moved_aside(self) -> Path:
-        """Where the old run is, after it was moved aside for the new one, and back if that cannot have its name."""
+        """Where the old run is, after it was moved aside for the new one."""
         old = self._numbered()
         self.out.rename(old)
-        try:
-            self.partial.rename(self.out)
-        except BaseException:
-            old.rename(self.out)
-            raise
+        self.partial.rename(self.out)
         return old
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -34,17 +33,8 @@ from sixthsense.verdict.verdict import Verdict
 from sixthsense.verdict.witnesses import Witnesses
 
 STAGES = (
-    "sense",
-    "extract",
-    "associate",
-    "predict",
-    "update",
-    "grid",
-    "plan",
-    "track",
-    "link",
-    "loop_closure",
-)
+    "sense", "extract", "associate", "predict", "update", "grid", "plan", "track", "link", "loop_closure",
+)  # fmt: skip
 
 
 class Stopwatch:
@@ -56,30 +46,16 @@ class Stopwatch:
         self.totals = dict.fromkeys(STAGES, 0.0)
         """per stage, milliseconds in the whole run"""
         self._row: dict[str, float] = {}
-        self.waited = 0.0
-        """milliseconds that no stage counts"""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Add the time from now to the end of the `with` block to a stage."""
         return _Stage(self, name)
 
-    def measured(self, name: str, began: float, waited: float) -> None:
-        """Add the time since `began` to a stage, s, but what was waited since it was `waited`, ms."""
-        elapsed = 1e3 * (time.perf_counter() - began) - (self.waited - waited)
+    def measured(self, name: str, began: float) -> None:
+        """Add the time since `began`, s, to a stage. The stage "sense" includes waiting for a robot's messages."""
+        elapsed = 1e3 * (time.perf_counter() - began)
         self._row[name] = self._row.get(name, 0.0) + elapsed
         self.totals[name] += elapsed
-
-    def waiting(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, whose time no stage counts that calls it: it waits for something."""
-
-        @functools.wraps(function)
-        def call(*args: Any) -> Any:
-            began = time.perf_counter()
-            out = function(*args)
-            self.waited += 1e3 * (time.perf_counter() - began)
-            return out
-
-        return call
 
     def end_tick(self, is_keyframe: bool) -> None:
         """End a tick; the times of a tick with a keyframe are kept as a row."""
@@ -95,18 +71,17 @@ class Stopwatch:
 class _Stage:
     """Times a stage; each tick enters several, and a generator takes twice as long."""
 
-    __slots__ = ("_began", "_name", "_waited", "_watch")
+    __slots__ = ("_began", "_name", "_watch")
 
     def __init__(self, watch: Stopwatch, name: str) -> None:
-        self._watch, self._name = watch, name
-        self._began, self._waited = time.perf_counter(), watch.waited
+        self._watch, self._name, self._began = watch, name, time.perf_counter()
 
     def __enter__(self) -> None:
         pass
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
-            self._watch.measured(self._name, self._began, self._waited)
+            self._watch.measured(self._name, self._began)
 
 
 @dataclass(slots=True)

@@ -7,10 +7,8 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 if TYPE_CHECKING:
     from sixthsense.core.source import Tick
@@ -93,37 +91,9 @@ def progress(
 
 
 def seen_area(trace: Trace) -> str:
-    """How much is seen of the region; empty before the first scan. An exploration has no other measure of its end."""
+    """How much an exploration has seen, which has no other measure of its end; empty before the first scan."""
     grid = trace.draw_map()
-    return area_of(trace, 0.0 if grid is None else grid.seen_area_m2)
-
-
-def area_of(trace: Trace, area_m2: float) -> str:
-    """An area that is seen beside that of the region, if that is explored; empty for none."""
-    if area_m2 == 0.0:
-        return ""
-    region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
-    if region is None or trace.config.task != "explore":
-        return f"{area_m2:.0f} m² seen"
-    x0, y0, x1, y1 = region
-    return f"{area_m2:.0f} of at most {max(area_m2, (x1 - x0) * (y1 - y0)):.0f} m² seen"
-
-
-def live_status(dropped: Mapping[str, int], seen_m2: Callable[[], float]) -> Callable[[Trace], str]:
-    """The status of a live run: sigmas of the pose, seen area, number of dropped messages.
-
-    `dropped` has the present numbers of dropped messages by reason; `seen_m2` gives the area of the map.
-    """
-
-    def status(trace: Trace) -> str:
-        from sixthsense.live.publishing import pose_covariance
-
-        cov = pose_covariance(trace)
-        sigma_m, sigma_rad = np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]), np.sqrt(cov[2, 2])
-        sigmas = f"sigma {sigma_m:.2f} m {np.degrees(sigma_rad):.1f}°"
-        return ", ".join(filter(None, (sigmas, area_of(trace, seen_m2()), f"{sum(dropped.values())} dropped")))
-
-    return status
+    return "" if grid is None or grid.seen_area_m2 == 0.0 else f"{grid.seen_area_m2:.0f} m² seen"
 
 
 def progress_bar(shown: bool | None, **options: Any) -> Any:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from sixthsense.config import Config
 from sixthsense.config.files import path_of
 from sixthsense.loop.interrupt import deferred_interrupt
-from sixthsense.running.progress import Bar, live_status, progress, seen_area
+from sixthsense.running.progress import Bar, progress, seen_area
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -108,8 +108,7 @@ def replay_log(
 
 def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: RunHooks, prior: PriorStart | None) -> Run:
     """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
-    status = live_status(session.notices.dropped, session.seen_m2)
-    bar = progress("live", session.config.max_time, shown=watch.progress, status=status)
+    bar = progress("live", session.config.max_time, shown=watch.progress)
     return _watched(
         lambda hook: session.run(drive, hook, prior), "live", session.config, bar, folder, watch, of_log=not drive
     )
@@ -152,17 +151,12 @@ def _watched(
 def _keep(folder: RunFolder, run: Run, say: Callable[[str], object]) -> None:
     """Write a run that is over into its folder, its map included, and give the folder its name.
 
-    `say` gets a line on a picture for which the memory does not suffice, and on files of others in the folder.
+    `say` gets a line on files of others in the folder.
     """
     from sixthsense.figures.plot import save_map
 
     folder.write(run.trace, run.metrics)
-    picture = folder.partial / "map.png"
-    try:
-        save_map(run, picture, _map_title(run))
-    except MemoryError:
-        picture.unlink(missing_ok=True)
-        say(f"note: out of memory, {folder.out} has no map.png; sixthsense report {folder.out} draws it")
+    save_map(run, folder.partial / "map.png", _map_title(run))
     if kept := folder.finish():
         say(f"note: kept in {folder.out}, which it replaces: {', '.join(kept)}")
 

@@ -192,23 +192,6 @@ def test_the_old_run_and_the_new_one_exchange_their_names_in_one_step(here, monk
     assert seed_of(out) == 2 and [path.name for path in here.iterdir()] == ["x"]
 
 
-def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, monkeypatch):
-    rename = Path.rename
-
-    def failing(path: Path, target: Path) -> Path:
-        if path.name == "x.partial":
-            raise PermissionError(13, "Permission denied")
-        return rename(path, target)
-
-    with RunFolder(made(here / "x"), Config(seed=2), overwrite=True) as folder, monkeypatch.context() as patch:
-        patch.setattr("sixthsense.record.folder._exchanged", lambda one, other: False)
-        patch.setattr(Path, "rename", failing)
-        with pytest.raises(PermissionError):
-            folder.finish()
-    assert (seed_of(here / "x"), seed_of(here / "x.partial")) == (1, 2)
-    assert sorted(path.name for path in here.iterdir()) == ["x", "x.partial"]
-
-
 def test_a_file_is_there_as_a_whole_or_not_at_all_and_its_error_names_it(here: Path) -> None:
     with whole(here / "a.txt") as file:
         file.write_text("new")

@@ -85,32 +85,13 @@ def test_a_folder_keeps_the_true_tracks_of_people_and_repeats_the_run(tmp_path):
     assert np.array_equal(again.trace.trajectory, made.trace.trajectory)
 
 
-@pytest.fixture
-def clock(monkeypatch):
+def test_the_processing_of_a_keyframe_is_the_sum_of_its_stages_without_sensing(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    return now
-
-
-def pass_time(clock, seconds):
-    clock[0] += seconds
-
-
-def test_time_that_is_waited_is_in_no_stage(clock):
     watch = Stopwatch()
-    wait = watch.waiting(pass_time)
-
-    def receive():
-        pass_time(clock, 0.002)
-        wait(clock, 5.0)
-        pass_time(clock, 0.001)
-
-    with watch.stage("sense"):
-        receive()
-    wait(clock, 7.0)
-    with watch.stage("plan"):
-        pass_time(clock, 0.004)
+    for stage, seconds in (("sense", 0.003), ("plan", 0.004), ("plan", 0.001)):
+        with watch.stage(stage):
+            now[0] += seconds
     watch.end_tick(is_keyframe=True)
     assert watch.totals["sense"] == pytest.approx(3.0)
-    assert watch.rows == [pytest.approx({"sense": 3.0, "plan": 4.0})]
-    assert watch.keyframe_ms() == pytest.approx([4.0])
+    assert watch.rows == [pytest.approx({"sense": 3.0, "plan": 5.0})] and watch.keyframe_ms() == pytest.approx([5.0])
