@@ -49,17 +49,6 @@ def test_a_robot_sees_through_glass_and_goes_no_way_through_it() -> None:
     assert not at(visible_area(np.concatenate([walls, glass]), *whole), 3.9, 2.2)
 
 
-def test_a_room_behind_a_door_that_is_too_narrow_is_seen_only_through_it() -> None:
-    """The disc does not fit through 0.3 m; from the door's jambs on, rays fan out by the room's own depth."""
-    walls = segments(*box(0.3, 0.2, 6.3, 4.2), [(4.3, 0.2), (4.3, 2.0)], [(4.3, 2.3), (4.3, 4.2)])
-    area = visible_area(walls, (0.3, 0.2, 6.3, 4.2), (1.2, 0.9), 0.25, 20.0)
-    assert at(area, 5.3, 2.15) and not at(area, 4.45, 0.5) and not at(area, 4.45, 3.9)
-    wide = visible_area(walls, (0.3, 0.2, 6.3, 4.2), (1.2, 0.9), 0.14, 20.0)
-    assert wide.square_metres == pytest.approx(3.9 * 3.9 + 1.9 * 3.9, rel=0.02)
-    low = visible_area(walls, (0.7, 0.4, 3.7, 2.4), (1.2, 0.9), 0.25, 20.0)  # a region inside the room
-    assert low.square_metres == pytest.approx(3.0 * 2.0, rel=0.01)
-
-
 def crossed_cells(x: float, y: float, end_x: float, end_y: float) -> set[tuple[int, int]]:
     """The cells in which the pieces lie that the grid's lines cut a segment into."""
     cuts = [0.0, 1.0]

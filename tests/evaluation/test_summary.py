@@ -5,7 +5,7 @@ from scipy import stats
 
 from sixthsense.evaluation.effective import effective_samples
 from sixthsense.evaluation.results import Metrics, as_text, html_of, side_by_side
-from sixthsense.evaluation.summary import mean_interval, run_summary, summary
+from sixthsense.evaluation.summary import run_summary, summary
 
 EXPLORED = {
     "outcome": "explored", "coverage": 0.998, "ate_rmse_m": 0.0123, "dead_reckoning_ate_rmse_m": 1.5,
@@ -78,13 +78,6 @@ def test_a_table_of_runs_has_means_with_intervals_of_student_bands_and_outcomes_
     low, high = stats.chi2.ppf((0.025, 0.975), 3 * 4) / 4  # of four runs, each one sample
     few = summary(frame.assign(pose_nees_world_mean=0.4), ["scene"])
     assert few["NEES"].iloc[0] == f"0.40 ({low:.2f} to {high:.2f}: too short to tell)"
-
-
-def test_the_interval_of_a_mean_is_that_of_student():
-    values = np.array([0.31, 0.52, 0.47, 0.93, 0.11])
-    low, high = stats.t.interval(0.95, 4, values.mean(), stats.sem(values))
-    assert mean_interval(values) == f"{values.mean():.3g} ± {(high - low) / 2:.2g}"
-    assert [mean_interval(values[:n]) for n in (0, 1, 2)] == ["", "0.31", "0.31, 0.52 (two say nothing of a mean)"]
 
 
 def test_metrics_of_runs_stand_side_by_side_with_units_in_the_order_of_the_table():

@@ -122,27 +122,6 @@ def test_the_spread_of_a_group_is_its_median_and_from_ten_to_ninety_per_cent():
         assert limits == pytest.approx((scale * (1.3 + 0.4 * 1.3), scale * (4.4 + 0.6 * 2.7)))  # 0.4 and 3.6 of 4 steps
 
 
-def test_the_averaged_nees_has_the_band_of_the_group_with_the_fewest_runs(ax):
-    nees = [np.full(30, 1.2), np.linspace(2.0, 9.0, 30)]
-    draw("nees", [*group([1, 1, 1, 1], name="a"), *group([1, 1], nees=nees, name="b")], "run", ax)
-    band = ax.patches[0].get_extents().transformed(ax.transData.inverted())
-    assert (band.y0, band.y1) == pytest.approx(tuple(chi2.ppf((0.025, 0.975), 6) / 2)) and len(ax.patches) == 1
-    points = ax.get_lines()[2].get_ydata()
-    assert points[[0, -1]] == pytest.approx([(1.2 + 2.0) / 2, (1.2 + 9.0) / 2])
-    assert line(ax, f"b, 2 runs: mean {(1.2 + 5.5) / 2:.2f} (").get_label().endswith("too short to tell)")
-
-
-def test_relative_errors_are_drawn_at_the_median_with_the_distances_to_ten_and_ninety_per_cent():
-    scales = {"trans_m": 1.0, "rot_deg": 7.0}
-    rows = [{f"rpe_{p}_{m}m": by * one * m for p, by in scales.items() for m in (1, 2, 5)} for one in (0.1, 0.4, 0.2)]
-    panels = Figure().subplots(1, 2)
-    draw("rpe", list(group([1, 2, 3], rows)), "run", panels)
-    (bars,) = panels[1].containers
-    np.testing.assert_allclose(bars[0].get_ydata(), [1.4, 2.8, 7.0, np.nan])
-    limits = np.array([segment[:, 1] for segment in bars[2][0].get_segments()[:3]])
-    assert limits == pytest.approx(7.0 * np.outer([1, 2, 5], [0.12, 0.36]))
-
-
 def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_blocks():
     points, covs, extents = plot.landmarks_of(TRACE)
     np.testing.assert_array_equal(points, TRACE.final.landmarks[[2, 4, 5, 6]])
