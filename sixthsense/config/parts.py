@@ -154,8 +154,6 @@ FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
 """shipped estimators that do not keep the poses of all keyframes"""
 KEEP_POSES = "with isam2, which keeps the poses of all keyframes"
 """of messages about the front end of scans"""
-STATES_RELATIVE = "isam2, or one with a method relative_covariances"
-"""of messages about covariances between keyframes"""
 NEEDS_FILTER = "a shipped estimator, or one with the methods of Filter"
 """of messages about parameters that are estimated with the pose"""
 

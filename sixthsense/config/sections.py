@@ -244,12 +244,8 @@ class ISAM2Config(Section):
     """A variable that has moved farther than this, m or rad, is relinearized."""
     iterations: PositiveCount = 2
     """Gauss-Newton steps per update, at most; with one the smoother is overconfident where headings are uncertain."""
-    robust: Literal["none", "huber", "cauchy"] = "none"
-    """Loss on landmarks' factors, against wrong matches."""
     undo_probability: Annotated[float, Field(gt=0.0, le=1.0)] = 0.999999
     """A match is rejected later if its residual lies outside this quantile of its noise; 1: never."""
-    least_gain: NonNegative = 0.02
-    """A key pose is taken out of the graph whose observations say less than this of each landmark, nats; 0: none is."""
 
 
 class GridConfig(Section):

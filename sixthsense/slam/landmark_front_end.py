@@ -12,21 +12,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sixthsense.config import Config
 from sixthsense.config.parts import EXTRACTORS
 from sixthsense.config.tree import check_returned, part_of
-from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Closure
-from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import Estimate, Estimator, Smoother
+from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
-from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
+from sixthsense.slam.front_end import Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import ByWheels, Motion
+from sixthsense.slam.thinning import AGE, AT_ONCE, is_crowded
 
 if TYPE_CHECKING:
     from sixthsense.slam.scans.front_end import ScanFrontEnd
@@ -35,28 +33,27 @@ if TYPE_CHECKING:
 class LandmarkFrontEnd:
     """Observations of landmarks in keyframes, which odometry selects, or the guide."""
 
-    def __init__(
-        self,
-        config: Config,
-        estimator: Estimator,
-        associator: Associator,
-        extractor: Extractor,
-        start: Pose,
-        clock: Clock,
-        guide: ScanFrontEnd | None = None,
-    ) -> None:
-        """Begin at `start`, `T_world_robot`."""
-        self._config, self._estimator, self._associator = config, estimator, associator
-        self._extractor, self._clock = extractor, clock
-        self.pose = start
-        """`T_world_robot`: the last estimate, and the odometry since"""
+    def __init__(self, setup: FrontEndSetup) -> None:
+        """Begin at the start, with a guide where the configuration wants matches to be proposed."""
+        self._config, self._estimator, self.pose, self._associator, _, self._clock = setup
+        self._extractor: Extractor = part_of(self._config, EXTRACTORS).make(self._config.assumed)
         self.since = STANDSTILL
         """odometry since the last keyframe"""
-        self._keyframes = 0
-        self._guide = guide
+        self._showed_new: list[bool] = []
+        """whether each keyframe showed a landmark that was new"""
+        self._is_kept: list[bool] = []
+        """which keyframes are in a smoother's graph"""
+        self._guide: ScanFrontEnd | None = None
         self._proposed = ProposedLandmarks()
         self._is_at_guide = True
         """whether the last keyframe is one of the guide's, not of observations that the log gives"""
+        if self._config.association.proposed_by == "scan-matching":
+            from sixthsense.slam.estimators.isam2 import ISAM2
+            from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+            smoother = ISAM2(self.pose, np.zeros((3, 3)), self._config.isam2)
+            wheels = Motion(ByWheels(self._config.assumed))
+            self._guide = ScanFrontEnd(self._config, smoother, self.pose, wheels, self._clock, is_guide=True)
 
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
@@ -85,17 +82,31 @@ class LandmarkFrontEnd:
         predicted = self._estimator.estimate()
         with self._clock("update"):
             estimate = self._updated(association, evidence.closures)
-        self.pose, index, self._keyframes = estimate.pose, self._keyframes, self._keyframes + 1
+        self.pose = estimate.pose
+        self._showed_new.append(not association.observations.keys() <= set(predicted.ids.tolist()))
+        self._is_kept.append(True)
+        if isinstance(self._estimator, Smoother) and len(self._is_kept) % AT_ONCE == 0:
+            self._thin(self._estimator)
         if self._guide is not None and evidence.scan is not None:
-            seen, records = association.observations, self._associator.records
-            self._proposed.remember(self._guide.newest, estimate, seen, records)
+            self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
         counts = None if self._guide is None else self._guide.counts
-        return Keyframe(index, motion, predicted, estimate, association, features, counts)
+        return Keyframe(len(self._is_kept) - 1, motion, predicted, estimate, association, features, counts)
 
     def finish(self) -> Finished:
         """Predict up to the last tick."""
         self._estimator.predict(self._taken())
         return Finished(self._estimator.estimate())
+
+    def _thin(self, estimator: Smoother) -> None:
+        """Take keyframes out of the graph that showed known landmarks alone, where enough others show the same."""
+        poses, last = estimator.trajectory(), len(self._is_kept) - AGE
+        leaving: list[int] = []
+        for k in range(max(last - AT_ONCE, 1), last):
+            if not self._showed_new[k] and is_crowded(poses, np.array(self._is_kept), k):
+                leaving.append(k)
+                self._is_kept[k] = False
+        if leaving:
+            estimator.take_out(leaving)
 
     def _taken(self) -> Odometry:
         """The motion since the last keyframe; the sum starts again from zero."""
@@ -105,39 +116,37 @@ class LandmarkFrontEnd:
     def _keyframe_motion(self, evidence: Evidence) -> Odometry | None:
         """The motion since the last keyframe, if this tick's evidence is used.
 
-        A scan is used after enough motion, or where it is one of the guide's keyframes; named observations always are,
-        and the poses of a log with loop closures.
+        A scan is used after enough motion, or where it is one of the guide's keyframes, with the guide's motion since
+        its own last one; named observations always are, and the poses of a log with loop closures.
         """
         if self._guide is not None:
             guided = self._guide.take(evidence)
             if evidence.scan is not None:
-                return None if guided is None else self._guided_motion(guided)
+                if guided is None:
+                    return None
+                by_wheels, is_since_guide, self._is_at_guide = self._taken(), self._is_at_guide, True
+                return guided.motion if is_since_guide else by_wheels
         elif evidence.scan is not None:
-            is_used = self._keyframes == 0 or is_due(self.since.motion, self.since, self._config.keyframes)
+            is_used = not self._is_kept or is_due(self.since.motion, self.since, self._config.keyframes)
             return self._taken() if is_used else None
         if not evidence.observations and evidence.closures is None:
             return None
         self._is_at_guide = False
         return self._taken()
 
-    def _guided_motion(self, guided: Keyframe) -> Odometry:
-        """The guide's motion since its own last keyframe; the wheels' where observations were used since."""
-        by_wheels, is_since_guide = self._taken(), self._is_at_guide
-        self._is_at_guide = True
-        return guided.motion if is_since_guide else by_wheels
-
     def _associated(self, features: Features, evidence: Evidence) -> Association:
         if evidence.scan is None:
             return self._associator.match_named(evidence.observations, self._estimator)
+        proposed = None
         if self._guide is not None:  # which has compared the whole scan
-            self._proposed.place(self._guide.proposal(), self._estimator.estimate())
-            return self._associator.associate(features.observations, self._estimator, self._proposed)
-        return self._associator.associate(features.observations, self._estimator)
+            proposed = self._proposed
+            proposed.place(self._guide.proposal(), self._estimator.estimate())
+        return self._associator.associate(features.observations, self._estimator, proposed)
 
     def _updated(self, association: Association, closures: Sequence[Closure] | None) -> Estimate:
         self._estimator.update(association.observations)
         if closures and isinstance(self._estimator, Smoother):
-            links = [Link(each.before, self._keyframes, Odometry(each.motion, each.cov)) for each in closures]
+            links = [Link(each.before, len(self._is_kept), Odometry(each.motion, each.cov)) for each in closures]
             self._estimator.link(links)
         estimate = self._estimator.estimate()
         gone = self._associator.forgotten(self._estimator, estimate)
@@ -145,17 +154,3 @@ class LandmarkFrontEnd:
             self._estimator.forget(gone)
             estimate = self._estimator.estimate()
         return estimate
-
-
-def landmark_front_end(setup: FrontEndSetup) -> LandmarkFrontEnd:
-    """The front end of landmarks, with a guide where the configuration wants matches to be proposed."""
-    config, estimator, start, associator, _, clock = setup
-    extractor: Extractor = part_of(config, EXTRACTORS).make(config.assumed)
-    guide = None
-    if config.association.proposed_by == "scan-matching":
-        from sixthsense.slam.estimators.isam2 import ISAM2
-        from sixthsense.slam.scans.front_end import ScanFrontEnd
-
-        smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
-        guide = ScanFrontEnd(config, smoother, start, Motion(ByWheels(config.assumed)), clock, is_guide=True)
-    return LandmarkFrontEnd(config, estimator, associator, extractor, start, clock, guide)

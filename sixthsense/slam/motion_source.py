@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -34,89 +33,44 @@ UNSTEADY = 0.4
 _USUAL = WheelsConfig()
 
 
-class MotionSource(Protocol):
-    """The motion between ticks, and what the motion since the last keyframe is worth."""
+class ByWheels:
+    """Wheels have measured the motion, whose parameters the estimator may estimate."""
 
-    @property
-    def is_guess(self) -> bool:
-        """Whether nothing has measured the motion: the scan alone tells it; a doubtful alignment is searched again."""
-        ...
+    is_guess = False
+    """whether nothing has measured the motion: the scan alone tells it; a doubtful alignment is searched again"""
+
+    def __init__(self, assumed: AssumedConfig, estimate: ParameterEstimate[Wheels] | None = None) -> None:
+        """By the assumed noise, and by the newest `estimate` of the parameters if they are estimated."""
+        self._assumed, self.estimate = assumed, estimate
+        self._is_stated = False
+        """whether the log states the covariance of the newest increment"""
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
-        """The motion since the last tick, `duration_s` ago.
+        """The motion since the last tick, with the covariance that the log states or that of the assumed noise.
 
-        `before` is `T_odom_robot` then, and `since` the motion from the last keyframe until then.
+        `before` is `T_odom_robot` at the last tick, and `since` the motion from the last keyframe until then.
         """
-        ...
+        self._is_stated = tick.increment_cov is not None
+        if tick.increment_cov is not None:
+            return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
+        return odometry(before, tick.odometry, self._assumed, None if self.estimate is None else self.estimate.values)
 
     def for_estimator(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe with all errors but those that the estimator estimates.
 
         It is that which is reported between keyframes, and which the estimator is given at the next keyframe.
         """
-        ...
+        if self._is_stated:
+            return since
+        return with_wheel_errors(since, self._assumed.wheels, 1.0 if self.estimate is None else UNSTEADY)
 
     def for_tracking(self, since: Odometry) -> Odometry:
-        """The same with the errors that the estimator estimates, too, for a scan to be aligned from."""
-        ...
-
-
-class ByWheels:
-    """Wheels have measured the motion."""
-
-    is_guess = False
-
-    def __init__(self, assumed: AssumedConfig) -> None:
-        self._assumed = assumed
-        self._is_stated = False
-        """whether the log states the covariance of the newest increment"""
-
-    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
-        """The difference of the wheels' poses, with the covariance that the log states or that of the assumed noise."""
-        self._is_stated = tick.increment_cov is not None
-        if tick.increment_cov is not None:
-            return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
-        return self._by_noise(before, tick.odometry)
-
-    def _by_noise(self, before: Pose, after: Pose) -> Odometry:
-        """The motion between two poses of the wheels with the covariance of the assumed noise."""
-        return odometry(before, after, self._assumed)
-
-    def for_estimator(self, since: Odometry) -> Odometry:
-        """The motion with the errors of any wheels, or as the log states it."""
-        return since if self._is_stated else with_wheel_errors(since, self._assumed.wheels)
-
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """The same."""
-        return self.for_estimator(since)
-
-
-class CalibratedWheels(ByWheels):
-    """Wheels whose parameters the estimator estimates: increments are those of the newest values."""
-
-    def __init__(self, assumed: AssumedConfig) -> None:
-        super().__init__(assumed)
-        self._estimate = wheel_prior(assumed)
-
-    def _by_noise(self, before: Pose, after: Pose) -> Odometry:
-        """The motion by the present parameters, and its dependence on them."""
-        return odometry(before, after, self._assumed, self._estimate.values)
-
-    def for_estimator(self, since: Odometry) -> Odometry:
-        """The motion with the errors that no parameter describes, or as the log states it."""
-        return since if self._is_stated else with_wheel_errors(since, self._assumed.wheels, UNSTEADY)
-
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """The same with the errors that the estimate of the parameters leaves."""
+        """The same with the errors that the estimate of the parameters leaves, for a scan to be aligned from."""
         found = self.for_estimator(since)
-        if found.wheels is None:
+        if found.wheels is None or self.estimate is None:
             return found
         jacobian = found.wheels.jacobian
-        return Odometry(found.motion, found.cov + jacobian @ self._estimate.cov @ jacobian.T)
-
-    def use(self, wheels: ParameterEstimate[Wheels]) -> None:
-        """Use these parameters from now on."""
-        self._estimate = wheels
+        return Odometry(found.motion, found.cov + jacobian @ self.estimate.cov @ jacobian.T)
 
 
 def with_wheel_errors(odometry: Odometry, errors: WheelsConfig = _USUAL, share: float = 1.0) -> Odometry:
@@ -181,14 +135,11 @@ class LastVelocity:
         """time since the last scan by the stamps, and what of it is predicted"""
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
-        """The motion that the velocity predicts; whatever the tick says of odometry is left out."""
-        return self.predicted(since, duration_s, tick.scan is not None)
+        """The motion since the last tick, `duration_s` ago, that the velocity predicts; odometry is left out.
 
-    def predicted(self, since: Pose, duration_s: float, is_scan: bool) -> Odometry:
-        """The motion since the last tick, `duration_s` ago; `since` is that from the last keyframe until then.
-
-        `is_scan` is whether there is a scan now.
+        `since` is the motion from the last keyframe until then.
         """
+        is_scan = tick.scan is not None
         self._stated_s += duration_s
         elapsed_s = self._period(self._stated_s) if is_scan else self._stated_s
         step_s, self._predicted_s = max(elapsed_s - self._predicted_s, 0.0), max(elapsed_s, self._predicted_s)
@@ -212,16 +163,6 @@ class LastVelocity:
         self._velocity = kept * self._velocity
         return Odometry(motion, (axes * np.maximum(values, 0.0)) @ axes.T)
 
-    def measured(self, guessed: Odometry, found: Odometry) -> None:
-        """Update with the motion since the last keyframe as guessed, and as scan matching has corrected it."""
-        gain = np.linalg.solve(guessed.cov, self._cross)  # (3, 3) of the smoother: velocity by motion
-        off = (guessed.motion.inverse() @ found.motion).array()
-        self._velocity = self._velocity + gain.T @ off
-        self._cov = self._cov - gain.T @ (guessed.cov - found.cov) @ gain
-        self._cov = 0.5 * (self._cov + self._cov.T)
-        self._cross = found.cov @ gain
-        self._stated_s = self._predicted_s = 0.0
-
     def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
         """The motion since the last keyframe as found by scan matching; without that the guess, and no velocity."""
         if found is None:
@@ -229,7 +170,14 @@ class LastVelocity:
             return since
         # From the prior that the scan was aligned with: without its allowance the way of a millisecond is known to less
         # than any scan, and what scans are off by would be a velocity of metres a second.
-        self.measured(self.for_tracking(since), found)
+        guessed = self.for_tracking(since)
+        gain = np.linalg.solve(guessed.cov, self._cross)  # (3, 3) of the smoother: velocity by motion
+        off = (guessed.motion.inverse() @ found.motion).array()
+        self._velocity = self._velocity + gain.T @ off
+        self._cov = self._cov - gain.T @ (guessed.cov - found.cov) @ gain
+        self._cov = 0.5 * (self._cov + self._cov.T)
+        self._cross = found.cov @ gain
+        self._stated_s = self._predicted_s = 0.0
         return found
 
     def for_tracking(self, since: Odometry) -> Odometry:
@@ -271,7 +219,7 @@ class Motion:
     def __init__(self, wheels: ByWheels | None) -> None:
         """Begin with `wheels`, or without any."""
         self._wheels, self._velocity = wheels, LastVelocity()
-        self.present: MotionSource = wheels or self._velocity
+        self.present: ByWheels | LastVelocity = wheels or self._velocity
         """says what the motion since the last keyframe is worth"""
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
@@ -288,8 +236,8 @@ class Motion:
 
     def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
-        if wheels is not None and isinstance(self._wheels, CalibratedWheels):
-            self._wheels.use(wheels)
+        if wheels is not None and self._wheels is not None:
+            self._wheels.estimate = wheels
         if self.present is self._velocity:
             self._velocity.begin_anew()
 
@@ -304,6 +252,4 @@ def make_motion(config: Config, estimator: Estimator) -> Motion:
         raise InputError("calibrate_wheels", f"found true with {config.estimator}", NEEDS_FILTER)
     prior = wheel_prior(config.assumed)
     estimator.calibrate(prior)
-    motion = Motion(CalibratedWheels(config.assumed))
-    motion.at_keyframe(prior)
-    return motion
+    return Motion(ByWheels(config.assumed, prior))

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config, LaserConfig
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS, STATES_RELATIVE
+from sixthsense.config.parts import ESTIMATORS, FRONT_ENDS, KEEP_POSES
 from sixthsense.config.section import shown
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import check_returned, part_of
@@ -27,8 +27,7 @@ from sixthsense.core.sensor import Sensor
 from sixthsense.core.source import Tick, seconds
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, Estimator, Filter
-from sixthsense.slam.estimators.base import StatesRelative
+from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import (
     Clock,
@@ -208,10 +207,11 @@ class Slam:
         KeyError for an unknown keyframe.
         """
         rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-        for part in (self._front_end, self.estimator):
-            if isinstance(part, StatesRelative):
-                return part.relative_covariances(rows)
-        raise InputError("estimator", f"found {self.config.estimator}", STATES_RELATIVE)
+        if not isinstance(self.estimator, Smoother):
+            raise InputError("estimator", f"found {self.config.estimator}", KEEP_POSES)
+        # A front end may know of errors that the estimator does not.
+        part = self._front_end if hasattr(self._front_end, "relative_covariances") else self.estimator
+        return part.relative_covariances(rows)
 
     def wheels(self) -> ParameterEstimate[Wheels] | None:
         """The wheels' parameters at the last keyframe, if they are estimated."""

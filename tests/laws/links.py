@@ -146,6 +146,33 @@ def poses_at_some_updates_are_rows_of_the_trajectory(name: str) -> None:
             estimator.poses_at([0, unknown])
 
 
+@LAWS.law()
+def without_links_the_covariance_between_two_poses_is_that_of_the_motions_between_them(name: str) -> None:
+    estimator, way = linked(name), _MOTION
+    for after in (3, 4, 5):
+        found = estimator.relative_covariances(np.array([[2, after]]))
+        assert np.allclose(found[0], way.cov, rtol=1e-4, atol=1e-9)
+        way = way.then(_MOTION)
+    with raises(KeyError):
+        estimator.relative_covariances(np.array([[2, 8]]))
+
+
+@LAWS.law()
+def a_pose_that_is_taken_out_loses_its_links_and_leaves_its_motion_and_its_row(name: str) -> None:
+    less, whole = linked(name), linked(name)
+    links = [*_LINKS, _seen(2, 4, np.array([0.01, 0.0, 0.0]), 1e-3 * np.eye(3))]
+    ids = less.link(links)
+    whole.link(links[1:2])
+    assert sorted(less.take_out([2, 3])) == sorted([ids[0], ids[2]])
+    assert_same(joint_state(whole), joint_state(less), 1e-5)
+    assert less.trajectory().shape == (8, 3)
+    with raises(KeyError):
+        less.unlink(ids[:1])
+    for wrong in ([0], [7], [2], [5, 4]):
+        with raises(KeyError):
+            less.take_out(wrong)
+
+
 def _least_squares(poses: int, links: list[Link]) -> Array:
     """(poses, 3) solution of the drive of `linked` with `links`, by scipy."""
     terms = [Link(k, k + 1, _MOTION) for k in range(poses - 1)] + links

@@ -12,7 +12,7 @@ from sixthsense.navigation.explorer import FrontierExplorer
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.slam.features.extraction import LineExtractor
 from sixthsense.slam.front_end import Finished
-from sixthsense.slam.landmark_front_end import landmark_front_end
+from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.scans.place_search import BranchAndBound
 from sixthsense.testing import (
     explorer_checks,
@@ -103,7 +103,7 @@ class FrontEnd:
     """The shipped front end of landmarks, with what is changed."""
 
     def __init__(self, setup):
-        self.own = landmark_front_end(setup)
+        self.own = LandmarkFrontEnd(setup)
 
     pose = property(lambda self: self.own.pose)
     since = property(lambda self: self.own.since)

@@ -163,7 +163,7 @@ class Smoother(Filter, Protocol):
 
     13. `link` takes each link as independent. Its pose need not be the newest.
     14. `unlink` leaves the estimate as if those links had not been given.
-    15. `poses_at` returns rows of `trajectory`.
+    15. `poses_at` returns rows of `trajectory`, and `relative_covariances` are of motions between them.
     16. The motion to a pose that is taken out, and on from it, become one. Its links are lost, and its row of
         `trajectory` stays, in a fixed place relative to a pose before it.
     """
@@ -184,23 +184,18 @@ class Smoother(Filter, Protocol):
         """(m, 3) the poses at some updates, by index; KeyError for an unknown one. A few cost less than all."""
         ...
 
+    def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
+        """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes.
+
+        `pairs` (m, 2); KeyError for an unknown update.
+        """
+        ...
+
     def take_out(self, updates: Sequence[int]) -> list[int]:
         """Take out the poses of some updates, ascending and after those of earlier calls, and solve.
 
         Returns the ids of the links that are lost, which are unknown from then on. Raises KeyError, with the state
         unchanged, for another order, for the first pose and for the last one.
-        """
-        ...
-
-
-@runtime_checkable
-class StatesRelative(Protocol):
-    """Who can say how well poses of updates are known relative to each other."""
-
-    def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
-        """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes.
-
-        `pairs` (m, 2); KeyError for an unknown update.
         """
         ...
 

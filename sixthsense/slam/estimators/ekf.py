@@ -19,9 +19,16 @@ from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import move_covariance
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
+from sixthsense.core.sensor import Sensor
+from sixthsense.core.wheels import Wheels
+from sixthsense.slam.estimators.base import (
+    Estimate,
+    LandmarkPrior,
+    check_observations,
+    check_parameters,
+    check_prior,
+)
 from sixthsense.slam.estimators.ekf_algebra import (
-    Parameters,
     add,
     expected,
     new_landmark,
@@ -59,7 +66,12 @@ class EKF:
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
-        self._parameters = Parameters()
+        self._parameters: dict[Any, Any] = {}
+        """values of the parameters by their class, `Wheels` or `Sensor`, if they are estimated"""
+        self._at: dict[Any, slice] = {}
+        """where these are in the state"""
+        self._head = 3
+        """size of the state before the landmarks"""
         self._pending = STANDSTILL
         self._has_moved = False
         self._trajectory = array("d")
@@ -78,13 +90,17 @@ class EKF:
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
         """Add the parameters of the wheels, or of the sensor of points, to the state."""
-        self._parameters = self._parameters.with_prior(prior, self._has_begun)
+        kind, end = type(prior.values), self._head + len(prior.cov)
+        check_parameters(prior, self._has_begun or kind in self._parameters)
+        self._parameters[kind], self._at[kind], self._head = prior.values, slice(self._head, end), end
         self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
         """The parameters of this kind, if they are estimated."""
-        values, at = self._parameters.of(of)
-        return None if values is None else ParameterEstimate(values, self._symmetric(np.arange(at.start, at.stop)))
+        if of not in self._parameters:
+            return None
+        at = self._at[of]
+        return ParameterEstimate(self._parameters[of], self._symmetric(np.arange(at.start, at.stop)))
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; the covariance is propagated at the next call that needs it.
@@ -100,14 +116,15 @@ class EKF:
         """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
         check_observations(observations)
         self._propagate()
-        observations = self._parameters.sensed(observations)
+        observations = self._sensed(observations)
         known = [i for i in observations if i in self._slots]
         if known:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
             shift = self._correct(slots, [observations[i] for i in known])
-            self._parameters = self._parameters.corrected(shift)
+            for kind, at in self._at.items():
+                self._parameters[kind] = kind.from_array(self._parameters[kind].array() + shift[at])
             self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
-            observations = self._parameters.sensed(observations)
+            observations = self._sensed(observations)
         self._augment({i: observation for i, observation in observations.items() if i not in self._slots})
         self._trajectory.extend(self._in_world(self._pose).array())
 
@@ -135,7 +152,8 @@ class EKF:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
-        joint = self._about_estimates(self._symmetric(self._pose_and_landmarks(slots)), slots)
+        joint = self._symmetric(np.concatenate([np.arange(3), self._places(slots)]))
+        joint = self._about_estimates(joint, slots)
         _, jacobian = translations(self._means[slots], self._walls[slots], self._origin + self._centres[slots])
         for k in np.flatnonzero(self._walls[slots]):
             at = slice(3 + 2 * k, 5 + 2 * k)
@@ -164,29 +182,21 @@ class EKF:
         """The covariance (3 + 2k, 3 + 2k) of pose and landmarks about their estimates, from the stored one."""
         return joint
 
+    def _sensed(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
+        """The observations for the present parameters of the sensor, if they are estimated."""
+        sensor = self._parameters.get(Sensor)
+        return {i: seen.with_sensor(sensor) for i, seen in observations.items()} if sensor else observations
+
     def _in_world(self, pose: Pose) -> Pose:
         return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
-
-    @property
-    def _head(self) -> int:
-        """Size of the state before the landmarks."""
-        return self._parameters.end
 
     @property
     def _has_begun(self) -> bool:
         return bool(self._slots) or self._has_moved
 
-    @property
-    def _size(self) -> int:
-        return self._head + 2 * len(self._slots)
-
     def _places(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
         """(2k,) places in the state of the landmarks in `slots`."""
         return (self._head + 2 * slots[:, None] + np.arange(2)).ravel()
-
-    def _pose_and_landmarks(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(3 + 2k,) places in the state of the pose and of the landmarks in `slots`."""
-        return np.concatenate([np.arange(3), self._places(slots)])
 
     def _symmetric(self, index: NDArray[np.int64]) -> Array:
         rows, cols = index[:, None], index[None, :]
@@ -199,14 +209,14 @@ class EKF:
         """
         if self._pending is STANDSTILL:
             return
-        wheels = self._parameters.wheels
+        wheels = self._parameters.get(Wheels)
         pending = self._pending if wheels is None else self._pending.with_wheels(wheels)
         pose = self._pose @ pending.motion
         lever = self._heading_lever(pose.position - self._pose.position)
         by_head = np.eye(self._head)
         by_head[0, 2], by_head[1, 2] = -lever[1], lever[0]
         if wheels is not None and pending.wheels is not None:
-            by_head[:3, self._parameters.of_wheels] = Pose(theta=pose.theta).adjoint() @ pending.wheels.jacobian
+            by_head[:3, self._at[Wheels]] = Pose(theta=pose.theta).adjoint() @ pending.wheels.jacobian
         propagate(self._cov.T, by_head, move_covariance((0.0, 0.0, pose.theta), pending.cov))
         self._pose = pose
         self._pending = STANDSTILL
@@ -224,7 +234,9 @@ class EKF:
         H = stacked(by_pose, by_landmark, self._head)  # the non-zero columns of H
         for k, observation in enumerate(observations):
             if observation.sensor is not None:
-                H[2 * k : 2 * k + 2, self._parameters.of_sensor] = self._parameters.by_sensor(predicted[k])
+                sensor = self._parameters[Sensor]
+                # At the observed point its noise would be in the Jacobian, which biases the parameters.
+                H[2 * k : 2 * k + 2, self._at[Sensor]] = -sensor.jacobian(sensor.reported(predicted[k]))
         index = np.concatenate([np.arange(self._head), self._places(slots)])
         cross, S = seen_through(self._cov.T, index, H, noise)
         root, fault = dpotrf(S, lower=1)
@@ -238,7 +250,7 @@ class EKF:
         """Append new landmarks, initialized at the pose of this update."""
         if not observations:
             return
-        n, k = self._size, len(observations)
+        n, k = len(self._cov), len(observations)
         larger = np.empty((n + 2 * k, n + 2 * k), order="F")
         larger[:n, :n] = self._cov
         point, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
@@ -248,7 +260,7 @@ class EKF:
             rows = slice(2 * j, 2 * j + 2)
             G[rows, :3] = landmark.by_pose
             if seen.sensor is not None:
-                G[rows, self._parameters.of_sensor] = landmark.by_z @ seen.sensor.jacobian()
+                G[rows, self._at[Sensor]] = landmark.by_z @ seen.sensor.jacobian()
             noise.append(landmark.by_z @ seen.cov @ landmark.by_z.T)
         head_cov = self._symmetric(np.arange(self._head))
         larger[n:, :n] = G @ np.vstack([head_cov, self._cov[self._head :, : self._head]]).T

@@ -1,13 +1,11 @@
-"""The algebra of a filter: expected observations, new landmarks and parameters in its state; symmetric matrices.
+"""The algebra of a filter: expected observations, new landmarks, and symmetric matrices.
 
 A symmetric matrix is kept as its lower triangle in a column-major array.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,59 +13,8 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import predictions, translations
-from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre
-from sixthsense.core.parameters import P, ParameterEstimate
+from sixthsense.core.landmarks import Observation, initialize_landmark, observed_centre
 from sixthsense.core.se2 import Triple, wrapped
-from sixthsense.core.sensor import Sensor
-from sixthsense.core.wheels import Wheels
-from sixthsense.slam.estimators.base import check_parameters
-
-_NONE = slice(3, 3)
-
-
-@dataclass(frozen=True, slots=True)
-class Parameters:
-    """The values that are estimated, and where they are in the state."""
-
-    end: int = 3
-    """where the landmarks begin in the state: after the pose, and the parameters"""
-    wheels: Wheels | None = None
-    of_wheels: slice = field(default_factory=lambda: _NONE)
-    sensor: Sensor | None = None
-    of_sensor: slice = field(default_factory=lambda: _NONE)
-
-    def with_prior(self, prior: ParameterEstimate[Any], has_begun: bool) -> Parameters:
-        """More parameters; RuntimeError if the filter has begun or has them, ValueError for an invalid covariance."""
-        check_parameters(prior, has_begun or self.of(type(prior.values))[0] is not None)
-        end = self.end + len(prior.cov)
-        if isinstance(prior.values, Wheels):
-            return replace(self, end=end, wheels=prior.values, of_wheels=slice(self.end, end))
-        return replace(self, end=end, sensor=prior.values, of_sensor=slice(self.end, end))
-
-    def of(self, kind: type[P]) -> tuple[P | None, slice]:
-        """The values of this kind, None if they are not estimated, and where they are in the state."""
-        values, at = (self.wheels, self.of_wheels) if kind is Wheels else (self.sensor, self.of_sensor)
-        return cast("P | None", values), at
-
-    def corrected(self, shift: Array) -> Parameters:
-        """The values after a correction of the state, (3 + p + 2n,)."""
-        wheels = self.wheels and Wheels.from_array(self.wheels.array() + shift[self.of_wheels])
-        sensor = self.sensor and Sensor.from_array(self.sensor.array() + shift[self.of_sensor])
-        return replace(self, wheels=wheels, sensor=sensor)
-
-    def sensed(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
-        """The observations for the present parameters of the sensor, if they are estimated."""
-        if self.sensor is None:
-            return observations
-        return {i: observation.with_sensor(self.sensor) for i, observation in observations.items()}
-
-    def by_sensor(self, predicted: Array) -> Array:
-        """(2, p) minus the Jacobian of a corrected point by the sensor's parameters, at the predicted point (2,).
-
-        At the observed point its noise would be in the Jacobian, which biases the parameters.
-        """
-        assert self.sensor is not None
-        return -self.sensor.jacobian(self.sensor.reported(predicted))
 
 
 class NewLandmark(NamedTuple):

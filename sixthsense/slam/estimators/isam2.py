@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -14,41 +15,49 @@ from numpy.typing import NDArray
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmark_kernels import innovations_of, seen_from_each
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.parameters import P, ParameterEstimate
-from sixthsense.core.se2 import move_covariance
+from sixthsense.core.se2 import between, move_covariance
+from sixthsense.core.sensor import Sensor
+from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.slam.estimators.base import (
     Estimate,
     LandmarkPrior,
     Link,
     check_links,
     check_observations,
+    check_parameters,
     check_prior,
 )
-from sixthsense.slam.estimators.isam2_chain import NONE, Chain, Joined
 from sixthsense.slam.estimators.isam2_factors import (
-    Loss,
-    exact_factor,
-    graph_of,
+    SENSOR,
+    WHEELS,
+    floored,
     lines,
     link_factors,
-    loss_of,
     motion_factor,
-    prior_frames,
-    prior_jacobians,
-    seen_point,
-    start_factor,
+    noise_of,
+    point_factor,
+    prior_factors,
+    prior_frame,
     to_pose,
     to_pose2,
     wall_factor,
     wall_frame,
 )
-from sixthsense.slam.estimators.isam2_solver import Kind, Solution, Solver, Unsolved, Variables
+from sixthsense.slam.estimators.isam2_graph import Chain, Graph, Kind, Step
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
-_MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
+
+
+class _Seen(NamedTuple):
+    """What the factor of an observation is of."""
+
+    update: int
+    landmark: LandmarkId
+    is_first: bool
+    """whether it fixes its landmark"""
 
 
 class ISAM2:
@@ -56,28 +65,31 @@ class ISAM2:
 
     A wall is a variable with a frame of its own (`isam2_factors.py`). GTSAM's tangent of a pose is in the robot's
     frame: covariances are rotated into it and out of it. Poses of updates without an observation are kept back until
-    there is an observation or a link, since until then there is nothing to solve.
+    there is an observation or a link, since until then there is nothing to solve. Estimates and covariances are read
+    when they are asked for: reading takes longer than most updates.
     """
 
     Options = ISAM2Config
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
-        self._config = config
+        self._config, self._graph, self._chain = config, Graph(config), Chain()
+        self._observed: dict[int, _Seen] = {}
+        """by the number of the factor"""
         self._links: dict[int, Link] = {}
-        """between poses in the graph, by the number of its factor"""
-        self._prior: PriorFactor | None = None
-        self._solver = Solver(config)
-        self._unsolved = Unsolved()
+        """between poses in the graph, by the number of the factor"""
         self._poses = 0
         """number of poses, solved and waiting"""
-        self._last_solved = 0
-        """key of the last solved pose"""
-        self._variables = Variables()
-        self._chain = Chain()
-        begin = start, check_covariance("start_cov", start_cov)
-        self._solution = Solution(self._solver, self._variables, self._chain, begin)
-        self._observations = Observations(self._variables, self._solution, loss_of(config))
+        self._waiting: dict[int, Pose] = {}
+        """guesses of the poses since the last solved one"""
+        self._parameters: dict[type, ParameterEstimate[Any]] = {}
+        """at the last solution, with the covariance of their priors"""
+        self._pose = start
+        """the last solved one, or the start"""
+        self._cov: Array | None = check_covariance("start_cov", start_cov)
+        """of the last solved pose and the wheels' parameters, if they are estimated; None until it is asked for"""
+        self._read: tuple[Array, Array] | None = np.zeros((0, 3)), np.zeros((0, 3))
+        """all solved poses, and the landmarks; None until they are asked for"""
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -88,16 +100,37 @@ class ISAM2:
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
         """Add the parameters of the wheels, or of the sensor of points, as a variable of the graph."""
-        self._solution.add(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
+        kind, has_moved = type(prior.values), self._poses > 0 or self._pending is not STANDSTILL
+        check_parameters(prior, has_moved or kind in self._parameters)
+        key = self._graph.insert(WHEELS if kind is Wheels else SENSOR, Kind.PARAMETERS, 0, prior.values.array())
+        self._graph.add(gtsam.PriorFactorVector(key, prior.values.array(), noise_of(floored(prior.cov))))
+        if kind is Wheels:
+            self._cov = _diagonal([self._head_cov(), prior.cov])
+        self._parameters[kind] = prior
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
         """The parameters of this kind at the last solution, if they are estimated."""
-        return self._solution.parameters(of)
+        found = self._parameters.get(of)
+        if found is None or not self._is_solved:
+            return found
+        cov = self._head_cov()[3:, 3:].copy() if of is Wheels else self._graph.covariance([SENSOR])
+        return replace(found, cov=cov)
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: one factor of all of them."""
-        check_prior(prior, bool(self._variables.keys) or self._poses > 0 or self._pending is not STANDSTILL)
-        self._prior = PriorFactor.begun(prior, self._solver, self._variables)
+        check_prior(prior, bool(self._graph.keys) or self._poses > 0 or self._pending is not STANDSTILL)
+        if not len(prior.ids):
+            return
+        values = gtsam.Values()
+        for i, mean, is_wall, extent in zip(
+            prior.ids.tolist(), prior.landmarks, prior.walls.tolist(), prior.extents, strict=True
+        ):
+            value = to_pose2(prior_frame(mean, extent)) if is_wall else mean
+            values.insert(self._graph.insert_landmark(i, Kind.WALL if is_wall else Kind.POINT, value), value)
+        for factor in prior_factors(prior, list(self._graph.keys.values()), values):
+            self._graph.add(factor)
+        self._graph.solve()
+        self._read = None
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -108,185 +141,200 @@ class ISAM2:
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Add the present pose and the observations from it; solve if there are any."""
-        guess = self._solution.after(self._pending)
-        if not observations:
-            self._add_pose(guess)
-            return
         check_observations(observations)
-        is_spare = self._adds_nothing(guess, observations)
+        guess = self._now()
         self._add_pose(guess)
-        first = self._unsolved.graph.size()
-        self._observations.add(self._poses - 1, guess, observations, self._unsolved)
-        self._observations.solved(self._solve_waiting(self._chain.due())[first:])
-        if is_spare:
-            self._chain.spare(self._poses - 1)
-        self._solver.relinearize(self._last_solved, guess)
-        self._solution.update(self._last_solved)
-        if self._poses % _REJECT_PERIOD == 0:
-            self._reject_outliers()
+        for i, observation in observations.items():
+            is_first = i not in self._graph.keys
+            factor = self._graph.add(self._factor(i, guess, observation, is_first))
+            self._observed[factor] = _Seen(self._poses - 1, i, is_first)
+        if observations:
+            self._solve()
+            self._graph.relinearize(self._last, guess)
+            self._solved()
+            if self._poses % _REJECT_PERIOD == 0:
+                self._reject_outliers()
 
     def link(self, links: Sequence[Link]) -> list[int]:
         """Add measured motions between the poses of updates, and solve; their ids."""
         check_links(links, self._poses)
         if not links:
             return []
-        first = self._unsolved.graph.size()
-        attached = self._chain.attached(links)
+        attached = [self._chain.attached(link) for link in links]
         self._guess_by(attached)
-        for factor in link_factors(attached):
-            self._unsolved.graph.add(factor)
+        ids = [self._graph.add(factor) for factor in link_factors(attached)]
         guess = gtsam.Pose2(*self.poses_at([self._poses - 1])[0])
-        ids = self._solve_waiting()[first:]
+        self._solve()
         self._links.update(zip(ids, attached, strict=True))
-        self._solution.update(self._last_solved)
-        off = guess.localCoordinates(to_pose2(self._solution.pose))
-        if np.abs(off).max() > self._config.relinearize_threshold:
+        if np.abs(guess.localCoordinates(to_pose2(self._pose))).max() > self._config.relinearize_threshold:
             self._converge()
         return ids
 
     def unlink(self, ids: Collection[int]) -> None:
         """Remove links, and solve."""
-        factors = self._dropped(ids)
-        if factors:
-            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), factors)
-            self._solution.update(self._last_solved)
+        for i in ids:
+            self._links[i]  # KeyError before any is removed
+        if ids:
+            self._solve(self._dropped(ids))
             self._converge()
 
     def take_out(self, updates: Sequence[int]) -> list[int]:
         """Take the poses of updates out of the graph, and solve; the ids of their links, which are lost."""
-        if self._unsolved.poses:
-            self._solve_waiting()
-            self._solution.update(self._last_solved)
-        self._chain.check_takeable(updates)
-        gone = set(updates)
-        lost = [i for i, link in self._links.items() if link.before in gone or link.after in gone]
-        self._solve_waiting(updates, self._dropped(lost))
-        self._solution.update(self._last_solved)
+        if self._waiting:
+            self._solve()
+        gone, followers = self._chain.take_out(updates, self.poses_at)
+        for pose in followers:
+            step = self._chain.steps[pose]
+            factor = motion_factor([X(step.before), X(pose)], step.motion, Wheels in self._parameters)
+            self._chain.steps[pose] = step._replace(factor=self._graph.add(factor))
+        out = set(updates)
+        lost = [i for i, link in self._links.items() if link.before in out or link.after in out]
+        gone += [number for number, seen in self._observed.items() if seen.update in out]
+        self._solve(self._dropped([*gone, *lost]))
         return lost
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
-        """Remove landmarks with all their factors: their information about the poses is lost."""
+        """Remove landmarks with all factors of their observations, whose information about the poses is lost.
+
+        Those of an earlier run stay in the graph, so that the others keep their marginal covariance.
+        """
         gone = set(ids)
         for i in gone:
-            self._variables.keys[i]  # KeyError before anything is removed
-        if not gone:
-            return
-        factors = self._observations.factors(gone)
+            self._graph.keys[i]  # KeyError before anything is removed
+        for i in gone:
+            del self._graph.keys[i]
+        self._read = None
+        factors = [number for number, seen in self._observed.items() if seen.landmark in gone]
         if factors:
             self._remove(factors)
-        self._prior = self._prior and self._prior.without(gone, self._solver, self._variables)
-        self._variables.drop(gone)
-        if self._solution.keys:
-            self._solution.update(self._last_solved)
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
-        pose, cov = self._solution.after(self._pending), self._solution.propagated(self._solution.cov(), self._pending)
-        landmarks = self._solution.landmarks()
-        return Estimate(pose, cov, landmarks.ids, landmarks.means.copy(), landmarks.walls)
+        frames = self._solution()[1] if self._graph.keys else np.zeros((0, 3))
+        ids = np.array(list(self._graph.keys), dtype=np.int64)
+        walls = np.array([self._graph.is_wall(i) for i in self._graph.keys], dtype=np.bool_)
+        means = np.where(walls[:, None], lines(frames)[0], frames[:, :2])
+        return Estimate(self._now(), self._propagated(self._head_cov()), ids, means, walls)
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
-        return self._solution.joint_covariance(ids, self._pending)
+        keys, cov = [self._graph.keys[i] for i in ids], self._head_cov()
+        if not keys:
+            return self._propagated(cov)
+        row = {i: k for k, i in enumerate(self._graph.keys)}
+        _, axes = lines(self._solution()[1])
+        blocks = [axes[row[i]] if self._graph.is_wall(i) else np.eye(2) for i in ids]
+        # GTSAM answers in the order of the query, each variable in its own tangent.
+        if self._is_solved:
+            to_axes = _diagonal([self._to_world(), *blocks])
+            joint = to_axes @ self._graph.covariance([*self._head, *keys]) @ to_axes.T
+            joint[: len(cov), : len(cov)] = cov
+        else:  # landmarks of an earlier run, and the start
+            to_axes = _diagonal(blocks)
+            joint = _diagonal([cov, to_axes @ self._graph.covariance(keys) @ to_axes.T])
+        return self._propagated(0.5 * (joint + joint.T))
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, smoothed with all observations so far."""
-        return np.vstack([self._solution.poses(), *(pose.array() for pose in self._unsolved.poses)])
+        return np.vstack([self._solution()[0], *(pose.array() for pose in self._waiting.values())])
 
     def poses_at(self, updates: Sequence[int]) -> Array:
         """(m, 3) the poses at some updates."""
         for k in updates:
             if not 0 <= k < self._poses:
                 raise KeyError(f"updates: found {k}, allowed: 0 to {self._poses - 1}")
-        first = self._poses - len(self._unsolved.poses)
-        known = [k for k in updates if k < first]
-        solved = dict(zip(known, self._solution.poses_at(known), strict=True))
-        rows = [solved[k] if k < first else self._unsolved.poses[k - first].triple() for k in updates]
-        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+        if self._read is not None:
+            return self.trajectory()[list(updates)]
+        return np.array([self._pose_at(k).triple() for k in updates]).reshape(-1, 3)
 
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
-        """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes.
-
-        `pairs` (m, 2) are of solved poses; KeyError for an unknown one.
-        """
+        """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes."""
         self.poses_at(pairs.ravel().tolist())
-        self._solve_waiting()
-        return np.array([self._solution.relative(*pair).cov for pair in pairs.tolist()]).reshape(-1, 3, 3)
+        if self._waiting:
+            self._solve()
+        return np.array([self._relative(*pair).cov for pair in pairs.tolist()]).reshape(-1, 3, 3)
 
-    def graph_error(self) -> float:
-        """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
-        return float(self._solver.isam.getFactorsUnsafe().error(self._solver.isam.calculateEstimate()))
+    @property
+    def _is_solved(self) -> bool:
+        """Whether there is a solved pose."""
+        return self._poses > len(self._waiting)
+
+    @property
+    def _last(self) -> int:
+        """Key of the last solved pose."""
+        return int(X(self._poses - len(self._waiting) - 1))
+
+    @property
+    def _head(self) -> list[int]:
+        """Keys of the last solved pose, and the wheels' parameters if they are estimated."""
+        return [self._last, WHEELS] if Wheels in self._parameters else [self._last]
 
     def _add_pose(self, guess: Pose) -> None:
-        key = self._variables.add_pose(self._poses)
-        self._unsolved.poses.append(guess)
-        self._unsolved.values.insert(key, to_pose2(guess))
-        if self._poses == 0:
-            pose = self._solution.pose
-            cov = move_covariance((0.0, 0.0, -pose.theta), self._solution.cov()[:3, :3])
-            start = Odometry(pose, cov).then(self._pending)
-            self._unsolved.graph.add(start_factor(key, start, self._solution.wheels is not None))
+        k, has_wheels = self._poses, Wheels in self._parameters
+        key = self._graph.insert(int(X(k)), Kind.POSE, k, to_pose2(guess))
+        if k == 0:
+            cov = move_covariance((0.0, 0.0, -self._pose.theta), self._head_cov()[:3, :3])
+            self._graph.add(motion_factor([key], Odometry(self._pose, cov).then(self._pending), has_wheels))
         else:
-            self._unsolved.motions[self._poses] = self._step, self._unsolved.graph.size()
-            self._unsolved.graph.add(motion_factor(key - 1, key, self._step, self._solution.wheels is not None))
-        self._poses += 1
-        self._step = STANDSTILL
+            factor = self._graph.add(motion_factor([key - 1, key], self._step, has_wheels))
+            self._chain.steps[k] = Step(k - 1, self._step, factor)
+        self._waiting[k], self._poses, self._step = guess, k + 1, STANDSTILL
+
+    def _factor(self, i: LandmarkId, guess: Pose, seen: Observation, is_first: bool) -> gtsam.NonlinearFactor:
+        """The factor of an observation from the newest pose; a new landmark becomes a variable."""
+        pose = int(X(self._poses - 1))
+        if seen.is_wall:
+            frame = wall_frame(guess, seen) if is_first else None
+            key = self._graph.insert_landmark(i, Kind.WALL, to_pose2(frame)) if frame else self._graph.keys[i]
+            at = frame or to_pose(self._graph.isam.calculateEstimatePose2(key))
+            return wall_factor((key, at), (pose, guess), seen, is_first, Wheels in self._parameters)
+        if is_first:
+            bearing, distance, _ = seen.bearing_range()
+            self._graph.insert_landmark(i, Kind.POINT, guess @ (distance * rotation(bearing)[:, 0]))
+        sensor = self._parameters.get(Sensor)
+        return point_factor(self._graph.keys[i], pose, seen, None if sensor is None else sensor.values)
 
     def _guess_by(self, links: Sequence[Link]) -> None:
         """Set the initial values of waiting poses by links to them, which are better than the odometry's."""
-        first = self._poses - len(self._unsolved.poses)
+        guessed: set[int] = set()
         for link in links:
-            if link.after >= first and link.after not in self._unsolved.guessed:
-                guess = Pose(*self.poses_at([link.before])[0].tolist()) @ link.relative.motion
-                self._unsolved.guessed.add(link.after)
-                self._unsolved.poses[link.after - first] = guess
-                self._unsolved.values.update(X(link.after), to_pose2(guess))
+            if link.after in self._waiting and link.after not in guessed:
+                guess = self._pose_at(link.before) @ link.relative.motion
+                guessed.add(link.after)
+                self._waiting[link.after] = guess
+                self._graph.guess(link.after, guess)
 
-    def _solve_waiting(self, spare: Sequence[int] = (), gone: Sequence[int] = ()) -> list[int]:
-        """Give the solver what waits, and take out spare poses and the factors `gone`; the factors of what waited."""
-        waiting, joined = self._unsolved, Joined([], [], [])
-        if spare:
-            joined = self._chain.take_out(spare, self.poses_at, self._solution.wheels is not None)
-            gone = [*gone, *joined.gone, *self._observations.drop_poses(spare)]
-            for factor in joined.factors:
-                waiting.graph.add(factor)
-        last = None if waiting.poses else self._last_solved
-        factors = self._solver.update(waiting.graph, waiting.values, sorted(gone), last)
-        count = len(factors) - len(joined.followers)
-        self._chain.solved(waiting.motions, factors)
-        if joined.followers:
-            self._chain.renumbered(joined.followers, factors[count:])
-        # New ones each time: a factor that is sent twice counts twice.
-        self._unsolved, self._pending, self._last_solved = Unsolved(), self._step, int(X(self._poses - 1))
-        return factors[:count]
+    def _solve(self, gone: Sequence[int] = ()) -> None:
+        """Solve with what waits, and without the factors `gone`."""
+        self._graph.solve(gone, None if self._waiting else self._last)
+        self._waiting, self._pending = {}, self._step
+        self._solved()
 
-    def _dropped(self, ids: Collection[int]) -> list[int]:
-        """The factors of links, which are dropped, ascending; KeyError, before any is dropped, for an unknown one."""
-        factors = sorted(set(ids))
-        for i in factors:
-            self._links[i]
-        for i in factors:
-            del self._links[i]
-        return factors
-
-    def _adds_nothing(self, guess: Pose, observations: Mapping[LandmarkId, Observation]) -> bool:
-        """Whether the observations from a pose, of which there are some, say next to nothing of the landmarks."""
-        least = self._config.least_gain
-        if not least or self._solution.wheels is not None or not observations.keys() <= self._variables.keys.keys():
-            return False
-        return self._solution.map_gain(guess, observations, self._pending) < least
+    def _solved(self) -> None:
+        """Read the newest pose and the parameters of a new solution."""
+        isam = self._graph.isam
+        self._pose, self._cov, self._read = to_pose(isam.calculateEstimatePose2(self._last)), None, None
+        for kind, key in ((Wheels, WHEELS), (Sensor, SENSOR)):
+            if kind in self._parameters:
+                values = kind.from_array(isam.calculateEstimateVector(key))
+                self._parameters[kind] = replace(self._parameters[kind], values=values)
 
     def _converge(self) -> None:
-        """Iterate until the newest pose stays: a loop that closes moves all of its poses, and weights of losses."""
-        self._solver.converge(self._last_solved, 0.1 * self._config.relinearize_threshold, _MAX_ITERATIONS)
-        self._solution.update(self._last_solved)
+        self._graph.converge(self._last)
+        self._solved()
+
+    def _dropped(self, factors: Collection[int]) -> list[int]:
+        """Some factors, without each other, which are no longer known as links or observations."""
+        for number in factors:
+            self._links.pop(number, None)
+            self._observed.pop(number, None)
+        return sorted(set(factors))
 
     def _remove(self, factors: list[int]) -> None:
         """Take factors of observations out of the graph and solve."""
-        self._observations.drop(factors)
-        self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), factors)
-        self._solver.iterate(self._config.iterations - 1)
-        self._solution.update(self._last_solved)
+        self._solve(self._dropped(factors))
+        self._graph.iterate(self._config.iterations - 1)
+        self._solved()
 
     def _reject_outliers(self) -> None:
         """Remove the factors of matches that contradict all other factors, the largest residual first.
@@ -294,161 +342,91 @@ class ISAM2:
         At the solution the residual of a correct match is smaller than its noise, so the gate is conservative.
         First observations are kept: without it a wall's frame could slide along the wall.
         """
-        while True:
-            ids, means = self._variables.ids, self._solution.landmarks().means
-            squared, factors = self._observations.squared_residuals(self.trajectory(), ids, means)
-            if not len(squared) or squared.max() <= self._reject_gate:
+        while math.isfinite(self._reject_gate):
+            factors, values = self._graph.isam.getFactorsUnsafe(), self._graph.isam.calculateEstimate()
+            later = [number for number, seen in self._observed.items() if not seen.is_first]
+            squares = {number: 2.0 * factors.at(number).error(values) for number in later}
+            worst = max(squares, key=squares.__getitem__, default=None)
+            if worst is None or squares[worst] <= self._reject_gate:
                 return
-            self._remove([int(factors[squared.argmax()])])
+            self._remove([worst])
             self.rejected += 1
 
+    def _pose_at(self, update: int) -> Pose:
+        """The pose of an update."""
+        if update in self._waiting:
+            return self._waiting[update]
+        anchor, motion = self._chain.anchored(update)
+        pose = to_pose(self._graph.isam.calculateEstimatePose2(X(anchor)))
+        return pose if motion is STANDSTILL else pose @ motion.motion
 
-_FIELDS = (("pose", np.int64), ("id", np.int64), ("factor", np.int64), ("wall", np.bool_), ("first", np.bool_),
-           ("z", np.float64, (2,)), ("cov", np.float64, (2, 2)))  # fmt: skip
+    def _solution(self) -> tuple[Array, Array]:
+        """(K, 3) all solved poses, and (n, 3) landmarks."""
+        if self._read is None:
+            kept, landmarks = self._graph.read()
+            self._read = self._chain.all_poses(kept), landmarks
+        return self._read
 
+    def _now(self) -> Pose:
+        """The present pose, for the present parameters of the wheels."""
+        return self._pose @ self._moved().motion
 
-class Observations:
-    """The observations with the numbers of their factors, a row each, in the order of time."""
+    def _moved(self) -> Odometry:
+        """The motion since the last solved pose, for the present parameters of the wheels."""
+        wheels = self._parameters.get(Wheels)
+        return self._pending if wheels is None else self._pending.with_wheels(wheels.values)
 
-    def __init__(self, landmarks: Variables, solution: Solution, loss: Loss | None) -> None:
-        self._variables, self._solution, self._loss = landmarks, solution, loss
-        self._rows = np.zeros(256, dtype=list(_FIELDS))
-        self._count = 0
+    def _head_cov(self) -> Array:
+        """(3, 3) of the last solved pose, or (8, 8) with the wheels' parameters, world frame."""
+        if self._cov is None:
+            to_world = self._to_world()
+            cov = to_world @ self._graph.covariance(self._head) @ to_world.T
+            self._cov = 0.5 * (cov + cov.T)
+        return self._cov
 
-    def add(self, pose: int, guess: Pose, observations: Mapping[LandmarkId, Observation], waiting: Unsolved) -> None:
-        """Add the factors of what is observed from a pose to what waits, and the variables that they need."""
-        self._solution.landmarks()  # as they are solved, before there are new ones
-        for i, observation in observations.items():
-            is_new = i not in self._variables.keys
-            if is_new:
-                self._add_landmark(i, guess, observation, waiting.values)
-            waiting.graph.add(self._factor(i, (int(X(pose)), guess), observation, is_new, waiting.values))
-            self._append(pose, i, observation, is_new)
+    def _to_world(self) -> Array:
+        """From GTSAM's tangents of these variables to the axes of `_head_cov`."""
+        turn = Pose(theta=self._pose.theta).adjoint()
+        return _diagonal([turn, np.eye(PARAMETERS)]) if Wheels in self._parameters else turn
 
-    def _add_landmark(self, i: LandmarkId, guess: Pose, seen: Observation, values: gtsam.Values) -> None:
-        """Add a landmark that is observed from `guess`, and its initial value to `values`."""
-        if seen.is_wall:
-            values.insert(self._variables.add_landmark(i, Kind.WALL), to_pose2(wall_frame(guess, seen)))
-        else:
-            bearing, distance, _ = seen.bearing_range()
-            values.insert(self._variables.add_landmark(i, Kind.POINT), guess @ (distance * rotation(bearing)[:, 0]))
+    def _propagated(self, joint: Array) -> Array:
+        """Joint covariance (3 + 2k, 3 + 2k) of the present pose and of k landmarks; a copy.
 
-    def solved(self, factors: Sequence[int]) -> None:
-        """Record the numbers of the factors that were added last."""
-        self._rows["factor"][self._count - len(factors) : self._count] = factors
-
-    def factors(self, ids: Collection[LandmarkId]) -> list[int]:
-        """The factors of these landmarks, ascending."""
-        rows = self._rows[: self._count]
-        return sorted(rows["factor"][np.isin(rows["id"], list(ids))].tolist())
-
-    def drop_poses(self, poses: Sequence[int]) -> list[int]:
-        """Remove the observations from some poses; their factors."""
-        if not poses:
-            return []
-        rows = self._rows[: self._count]
-        factors: list[int] = rows["factor"][np.isin(rows["pose"], poses)].tolist()
-        self.drop(factors)
-        return factors
-
-    def drop(self, factors: Collection[int]) -> None:
-        """Remove the observations that have these factors."""
-        rows = self._rows[: self._count]
-        kept = rows[~np.isin(rows["factor"], list(factors))]
-        self._rows[: len(kept)] = kept
-        self._count = len(kept)
-
-    def squared_residuals(self, poses: Array, ids: NDArray[np.int64], landmarks: Array) -> tuple[Array, Array]:
-        """Squared Mahalanobis distances of all but each landmark's first observation, and their factors.
-
-        `poses` (K, 3) world frame; `landmarks` (n, 2) are those of `ids` (n,).
+        `joint` (n + 2k, n + 2k) is of the n values that `_head_cov` is of, and the landmarks.
         """
-        rows = self._rows[: self._count]
-        rows = rows[~rows["first"]]
-        pose = poses[rows["pose"]]
-        order = np.argsort(ids)
-        landmark = landmarks[order[np.searchsorted(ids, rows["id"], sorter=order)]]
-        z, cov, is_wall = (np.ascontiguousarray(rows[name]) for name in ("z", "cov", "wall"))
-        off, cov = innovations_of(z, cov, seen_from_each(pose, landmark, is_wall), is_wall)
-        return np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]), rows["factor"]
+        n, motion = len(self._head_cov()), self._moved()
+        kept = np.concatenate([np.arange(3), np.arange(n, len(joint))])
+        if motion is STANDSTILL:
+            return np.asarray(joint[np.ix_(kept, kept)])
+        by_head = np.zeros((3, n))
+        by_head[:, :3], by_motion = compose_jacobians(self._pose.theta, motion.motion)
+        if n > 3 and motion.wheels is not None:
+            by_head[:, 3:] = by_motion @ motion.wheels.jacobian
+        moved = joint.copy()
+        moved[:3] = by_head @ moved[:n]
+        moved[:, :3] = moved[:, :n] @ by_head.T
+        moved[:3, :3] += by_motion @ motion.cov @ by_motion.T
+        moved = moved[np.ix_(kept, kept)]
+        return np.asarray(0.5 * (moved + moved.T))
 
-    def _append(self, pose: int, i: LandmarkId, seen: Observation, is_first: bool) -> None:
-        """Add a row; a first observation fixes its landmark, and stays where others contradict it."""
-        if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        self._rows[self._count] = (pose, i, NONE, seen.is_wall, is_first, seen.z, seen.cov)
-        self._count += 1
-
-    def _factor(
-        self, i: LandmarkId, pose: tuple[int, Pose], observation: Observation, is_new: bool, values: gtsam.Values
-    ) -> gtsam.NonlinearFactor:
-        key = self._variables.keys[i]
-        if not observation.is_wall:
-            return seen_point(key, pose[0], observation, self._solution.sensor, self._loss)
-        if self._solution.wheels is not None and not is_new:
-            return exact_factor(key, pose[0], observation, self._loss)
-        frame = to_pose(values.atPose2(key)) if is_new else Pose.from_array(self._variables.frames[i])
-        return wall_factor((key, frame), pose, observation, is_new, self._loss)
-
-
-@dataclass(frozen=True, slots=True)
-class PriorFactor:
-    """The factor of earlier landmarks, in a graph, and what is left of them."""
-
-    prior: LandmarkPrior
-    frames: Mapping[LandmarkId, Array]
-    """(3,) initial frame of each wall"""
-    number: int
-    """of the factor"""
-
-    @classmethod
-    def begun(cls, prior: LandmarkPrior, solver: Solver, landmarks: Variables) -> PriorFactor | None:
-        """Add the landmarks, if there are any, to an empty solver, and to `landmarks`."""
-        if not len(prior.ids):
-            return None
-        all_frames, frames = prior_frames(prior), {}
-        means, axes = lines(all_frames)
-        for k, i in enumerate(prior.ids.tolist()):
-            is_wall = bool(prior.walls[k])
-            landmarks.add_landmark(i, Kind.WALL if is_wall else Kind.POINT)
-            landmarks.by_tangent[i] = axes[k] if is_wall else np.eye(2)
-            if is_wall:
-                frames[i] = landmarks.frames[i] = all_frames[k]
-        landmarks.means = np.where(prior.walls[:, None], means, prior.landmarks)
-        factor, values = _factor_of(prior, frames, landmarks)
-        return cls(prior, frames, solver.update(graph_of(factor), values)[0])
-
-    def without(self, ids: Collection[LandmarkId], solver: Solver, landmarks: Variables) -> PriorFactor | None:
-        """Leave the marginal covariance of the landmarks that are not in `ids`; None if none is left."""
-        if not np.isin(self.prior.ids, list(ids)).any():
-            return self
-        prior = self.prior.without(ids)
-        if not len(prior.ids):
-            solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [self.number])
-            return None
-        factor, _ = _factor_of(prior, self.frames, landmarks)
-        number = solver.update(graph_of(factor), gtsam.Values(), [self.number])[0]
-        return replace(self, prior=prior, number=number)
+    def _relative(self, before: int, after: int) -> Odometry:
+        """A solved pose in the frame of another one, with what their errors have in common."""
+        (first, to_first), (second, to_second) = self._chain.anchored(before), self._chain.anchored(after)
+        motion, cov = Pose(), np.zeros((3, 3))
+        if first != second:
+            joint = self._graph.covariance([X(first), X(second)])
+            motion = Pose(*between(*self.poses_at([first, second])))
+            by_poses = np.hstack([-motion.inverse().adjoint(), np.eye(3)])  # each pose errs in its own axes
+            cov = by_poses @ joint @ by_poses.T
+        return to_first.inverse().then(Odometry(motion, 0.5 * (cov + cov.T))).then(to_second)
 
 
-def _factor_of(
-    prior: LandmarkPrior, frames: Mapping[LandmarkId, Array], landmarks: Variables
-) -> tuple[gtsam.NonlinearFactor, gtsam.Values]:
-    """The factor, and the earlier landmarks, about which it is quadratic.
-
-    As a quadratic form it is eliminated in a third of the time that rows for all numbers of the landmarks take.
-    """
-    values, ids = gtsam.Values(), prior.ids.tolist()
-    for i, mean in zip(ids, prior.landmarks, strict=True):
-        values.insert(landmarks.keys[i], gtsam.Pose2(*frames[i]) if i in frames else mean)
-    keys = [landmarks.keys[i] for i in ids]
-    blocks = prior_jacobians(prior, np.array([frames.get(i, np.zeros(3)) for i in ids]))
-
-    def whitened(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        if jacobians is not None:
-            for k, block in enumerate(blocks):
-                jacobians[k] = block
-        return np.zeros(len(blocks[0]))  # the landmarks are at their means
-
-    exact = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(blocks[0])), keys, whitened).linearize(values)
-    return gtsam.LinearContainerFactor(gtsam.HessianFactor(exact), values), values
+def _diagonal(blocks: Sequence[Array]) -> Array:
+    """The matrix with these blocks (p, q) on its diagonal; scipy's asks for other array libraries at each block."""
+    out = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row = column = 0
+    for block in blocks:
+        height, width = block.shape
+        out[row : row + height, column : column + width] = block
+        row, column = row + height, column + width
+    return out

@@ -13,25 +13,24 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.motion import Odometry
-from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
-Loss = gtsam.noiseModel.mEstimator.Base
-_LOSS_SCALE = 1.5  # sigmas from which a match counts less: two of three right ones lie below
-
+WHEELS, SENSOR = int(gtsam.symbol("c", 0)), int(gtsam.symbol("s", 0))
+"""keys of the parameters, vectors"""
 _FLOOR = 1e-6  # sigma (m, rad) added to each number: one that is known would make the system singular
+# Sigma along the wall. The first observation fixes the origin: GTSAM's logarithm of a Pose2 couples tangential
+# uncertainty into the normal residual, by half of the angle's residual.
+_FIRST_M, _LATER_M = 1e-3, 1e3
 
 
 def to_pose(pose: gtsam.Pose2) -> Pose:
@@ -44,22 +43,6 @@ def to_pose2(pose: Pose) -> gtsam.Pose2:
     return gtsam.Pose2(pose.x, pose.y, pose.theta)
 
 
-def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
-    """The noise of a motion, with a floor."""
-    root = _roots(motion.cov[None])[0]
-    return gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
-
-
-def _roots(covs: Array) -> Array:
-    """(m, 3, 3) roots of the informations of motions with covariances (m, 3, 3), and a floor."""
-    return root_information(covs + _FLOOR**2 * np.eye(3))
-
-
-def floored(cov: Array) -> Array:
-    """A covariance (n, n) with a floor that keeps the system regular."""
-    return np.asarray(cov + _FLOOR**2 * np.eye(len(cov)))
-
-
 def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
     """The noise with a covariance (n, n).
 
@@ -69,28 +52,20 @@ def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
     return gtsam.noiseModel.Gaussian.SqrtInformation(root_information(cov), False)
 
 
-def loss_of(config: ISAM2Config) -> Loss | None:
-    """The configured loss on landmarks' factors; None for squares."""
-    if config.robust == "huber":
-        return gtsam.noiseModel.mEstimator.Huber.Create(_LOSS_SCALE)
-    if config.robust == "cauchy":
-        return gtsam.noiseModel.mEstimator.Cauchy.Create(_LOSS_SCALE)
-    return None
-
-
-def with_loss(noise: gtsam.noiseModel.Gaussian, loss: Loss | None) -> gtsam.noiseModel.Base:
-    """The noise, under a loss if there is one."""
-    return noise if loss is None else gtsam.noiseModel.Robust.Create(loss, noise)
+def floored(cov: Array) -> Array:
+    """A covariance (..., n, n) with a floor that keeps the system regular."""
+    return np.asarray(cov + _FLOOR**2 * np.eye(cov.shape[-1]))
 
 
 def link_factors(links: Sequence[Link]) -> list[gtsam.NonlinearFactor]:
     """The factors of links between the poses of their updates."""
     factors: list[gtsam.NonlinearFactor] = []
-    for link, root in zip(links, _roots(np.array([link.relative.cov for link in links])), strict=True):
+    roots = root_information(floored(np.array([link.relative.cov for link in links])))
+    for link, root in zip(links, roots, strict=True):
         noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
         if math.isfinite(link.loss_scale):
             noise = gtsam.noiseModel.Robust.Create(_cauchy(link.loss_scale), noise)
-        motion = gtsam.Pose2(*link.relative.motion.triple())
+        motion = to_pose2(link.relative.motion)
         factors.append(gtsam.BetweenFactorPose2(X(link.before), X(link.after), motion, noise))
     return factors
 
@@ -99,11 +74,6 @@ def link_factors(links: Sequence[Link]) -> list[gtsam.NonlinearFactor]:
 def _cauchy(scale: float) -> gtsam.noiseModel.mEstimator.Base:
     """The loss of many links: there are two scales, and a loss has no state."""
     return gtsam.noiseModel.mEstimator.Cauchy.Create(scale)
-
-
-# Sigma along the wall. The first observation fixes the origin: GTSAM's logarithm of a Pose2 couples tangential
-# uncertainty into the normal residual, by half of the angle's residual.
-FIRST_M, _LATER_M = 1e-3, 1e3
 
 
 def wall_frame(pose: Pose, observation: Observation) -> Pose:
@@ -126,7 +96,7 @@ def measurement(pose: Pose, frame: Pose, observation: Observation, is_first: boo
     centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)  # axes of the wall
     along = (frame.inverse() @ pose @ centre).x
     _, of_turn, of_shift = line_errors(observation.cov)
-    sigmas = np.array([FIRST_M if is_first else _LATER_M, math.sqrt(of_shift), math.sqrt(of_turn)])
+    sigmas = np.array([_FIRST_M if is_first else _LATER_M, math.sqrt(of_shift), math.sqrt(of_turn)])
     # GTSAM's residual is in the axes of the measured pose; the logarithm of a motion changes by the adjoint.
     to_centre = centre.inverse()
     return Pose(x=along) @ to_centre, to_centre.adjoint() / sigmas[:, None]
@@ -143,31 +113,25 @@ def lines(frames: Array) -> tuple[Array, Array]:
 
 
 def wall_factor(
-    wall: tuple[int, Pose], pose: tuple[int, Pose], observation: Observation, is_first: bool, loss: Loss | None
+    wall: tuple[int, Pose], pose: tuple[int, Pose], observation: Observation, is_first: bool, is_exact: bool
 ) -> gtsam.NonlinearFactor:
-    """An observation as a factor between two poses of GTSAM, each a key and its value."""
-    (key, frame), (at, guess) = wall, pose
-    place, root = measurement(guess, frame, observation, is_first)
-    noise = with_loss(gtsam.noiseModel.Gaussian.SqrtInformation(root), loss)
-    return gtsam.BetweenFactorPose2(key, at, to_pose2(place), noise)
-
-
-def exact_factor(wall: int, pose: int, observation: Observation, loss: Loss | None) -> gtsam.NonlinearFactor:
-    """A later observation as a factor between the variables with these keys.
+    """The observation of a wall from a pose, each a key and its value.
 
     GTSAM's factor between poses measures the place along the wall a little: its logarithm couples that with the angle's
-    residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not.
+    residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not: `is_exact`
+    makes later observations factors of their own.
     """
-    _, of_turn, of_shift = line_errors(observation.cov)
-    noise = with_loss(noise_of(np.diag([of_turn, of_shift])), loss)
-    return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, observation))
+    if is_exact and not is_first:
+        _, of_turn, of_shift = line_errors(observation.cov)
+        residual = _WallResidual(wall[0], pose[0], observation)
+        return gtsam.CustomFactor(noise_of(np.diag([of_turn, of_shift])), [wall[0], pose[0]], residual)
+    place, root = measurement(pose[1], wall[1], observation, is_first)
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(root)
+    return gtsam.BetweenFactorPose2(wall[0], pose[0], to_pose2(place), noise)
 
 
-class Residual:
-    """Predicted less measured direction of a wall, and place of the centre of its returns; called by GTSAM.
-
-    The two have independent errors.
-    """
+class _WallResidual:
+    """Predicted less measured direction of a wall, and place of the centre of its returns; called by GTSAM."""
 
     def __init__(self, wall: int, pose: int, observation: Observation) -> None:
         """Between the variables with these keys."""
@@ -185,29 +149,17 @@ class Residual:
         return np.array([wrap_angle(0.5 * math.pi - pose.theta() - self._alpha), -pose.y() - y])
 
 
-WHEELS, SENSOR = int(gtsam.symbol("c", 0)), int(gtsam.symbol("s", 0))
-"""keys of the variables, vectors"""
+def motion_factor(keys: Sequence[int], motion: Odometry, has_wheels: bool) -> gtsam.NonlinearFactor:
+    """The factor of odometry between the poses with two keys, and the wheels if they are a variable.
 
-
-def parameters_factor(key: int, prior: ParameterEstimate[Any]) -> gtsam.NonlinearFactor:
-    """The prior of the parameters in a variable."""
-    return gtsam.PriorFactorVector(key, prior.values.array(), noise_of(floored(prior.cov)))
-
-
-def motion_factor(before: int, after: int, motion: Odometry, with_wheels: bool) -> gtsam.NonlinearFactor:
-    """The factor of odometry between the poses with these keys, and the wheels if they are a variable."""
-    noise = gaussian(motion)
-    if motion.wheels is None or not with_wheels:
-        return gtsam.BetweenFactorPose2(before, after, to_pose2(motion.motion), noise)
-    return gtsam.CustomFactor(noise, [before, after, WHEELS], _MotionResidual((before, after), motion))
-
-
-def start_factor(key: int, pose: Odometry, with_wheels: bool) -> gtsam.NonlinearFactor:
-    """The prior of the first pose, and the wheels if they are a variable; `pose` is its odometry from the origin."""
-    noise = gaussian(pose)
-    if pose.wheels is None or not with_wheels:
-        return gtsam.PriorFactorPose2(key, to_pose2(pose.motion), noise)
-    return gtsam.CustomFactor(noise, [key, WHEELS], _MotionResidual((key,), pose))
+    With one key it is the prior of that pose, and `motion` its odometry from the origin.
+    """
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(floored(motion.cov)), False)
+    if motion.wheels is not None and has_wheels:
+        return gtsam.CustomFactor(noise, [*keys, WHEELS], _MotionResidual(keys, motion))
+    if len(keys) == 1:
+        return gtsam.PriorFactorPose2(keys[0], to_pose2(motion.motion), noise)
+    return gtsam.BetweenFactorPose2(keys[0], keys[1], to_pose2(motion.motion), noise)
 
 
 class _MotionResidual:
@@ -216,7 +168,7 @@ class _MotionResidual:
     The measured motion is linear in the parameters. Of two poses the motion is that between them; of one, the pose.
     """
 
-    def __init__(self, poses: tuple[int, ...], motion: Odometry) -> None:
+    def __init__(self, poses: Sequence[int], motion: Odometry) -> None:
         """Between the poses with these keys; `motion` depends on the wheels."""
         assert motion.wheels is not None
         self._poses = poses
@@ -227,40 +179,29 @@ class _MotionResidual:
         """The residual (3,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""
         poses = [values.atPose2(key) for key in self._poses]
         found = poses[0].between(poses[1]) if len(poses) == 2 else poses[0]
-        x, y, theta = found.x(), found.y(), found.theta()
-        of_wheels = self._jacobian @ values.atVector(WHEELS)
-        mx, my, turn = (self._motion_at_zero + of_wheels).tolist()
+        x, y = found.x(), found.y()
+        mx, my, turn = (self._motion_at_zero + self._jacobian @ values.atVector(WHEELS)).tolist()
         c, s = math.cos(turn), math.sin(turn)
         right, up = c * (x - mx) + s * (y - my), c * (y - my) - s * (x - mx)
+        off = wrap_angle(found.theta() - turn)
         if jacobians is not None:
-            self._fill(jacobians, (c, s), (x, y, theta - turn), (right, up))
-        return np.array([right, up, wrap_angle(theta - turn)])
-
-    def _fill(
-        self, jacobians: list[Array], axes: tuple[float, float], found: Sequence[float], off: tuple[float, float]
-    ) -> None:
-        (c, s), (x, y, turn) = axes, found
-        if len(self._poses) == 2:
-            # By a small motion of the pose before, in its axes.
-            jacobians[0] = np.array([[-c, -s, c * y - s * x], [s, -c, -s * y - c * x], [0.0, 0.0, -1.0]])
-        ct, st = math.cos(turn), math.sin(turn)
-        jacobians[-2] = np.array([[ct, -st, 0.0], [st, ct, 0.0], [0.0, 0.0, 1.0]])
-        by_motion = np.array([[-c, -s, off[1]], [s, -c, -off[0]], [0.0, 0.0, -1.0]])
-        jacobians[-1] = by_motion @ self._jacobian
+            if len(poses) == 2:  # by a small motion of the pose before, in its axes
+                jacobians[0] = np.array([[-c, -s, c * y - s * x], [s, -c, -s * y - c * x], [0.0, 0.0, -1.0]])
+            jacobians[-2] = Pose(theta=off).adjoint()
+            jacobians[-1] = np.array([[-c, -s, up], [s, -c, -right], [0.0, 0.0, -1.0]]) @ self._jacobian
+        return np.array([right, up, off])
 
 
-def seen_point(
-    point: int, pose: int, observation: Observation, sensor: Sensor | None, loss: Loss | None
-) -> gtsam.NonlinearFactor:
-    """The observation of a point as a factor between the variables with these keys, and those of the sensor if any."""
+def point_factor(point: int, pose: int, observation: Observation, sensor: Sensor | None) -> gtsam.NonlinearFactor:
+    """The observation of a point as a factor between the variables with these keys, and the sensor if it is one."""
     if sensor is None:
         bearing, distance, cov = observation.bearing_range()
-        return gtsam.BearingRangeFactor2D(pose, point, gtsam.Rot2(bearing), distance, with_loss(noise_of(cov), loss))
+        return gtsam.BearingRangeFactor2D(pose, point, gtsam.Rot2(bearing), distance, noise_of(cov))
     terms = observation.with_sensor(sensor).sensor
     assert terms is not None
     bearing, distance, cov = Observation(observation.kind, terms.z, terms.cov).bearing_range()
     residual = _PointResidual((pose, point), bearing, distance)
-    return gtsam.CustomFactor(with_loss(noise_of(cov), loss), [pose, point, SENSOR], residual)
+    return gtsam.CustomFactor(noise_of(cov), [pose, point, SENSOR], residual)
 
 
 class _PointResidual:
@@ -272,12 +213,9 @@ class _PointResidual:
 
     def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         """The residual (2,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""
-        pose, (px, py) = values.atPose2(self._pose), values.atPoint2(self._point)
-        sensor = Sensor.from_array(values.atVector(SENSOR))
-        theta = pose.theta()
-        c, s = math.cos(theta), math.sin(theta)
-        dx, dy = px - pose.x(), py - pose.y()
-        x, y = c * dx + s * dy, c * dy - s * dx  # robot's frame
+        pose, sensor = to_pose(values.atPose2(self._pose)), Sensor.from_array(values.atVector(SENSOR))
+        to_robot = rotation(pose.theta).T
+        x, y = to_robot @ (values.atPoint2(self._point) - pose.position)
         seen = sensor.reported(np.array([x, y]))
         ahead, left = seen.tolist()
         distance = max(math.hypot(ahead, left), 1e-9)
@@ -285,41 +223,38 @@ class _PointResidual:
             by_seen = np.array([[-left / distance**2, ahead / distance**2], [ahead / distance, left / distance]])
             by_point = by_seen @ np.linalg.inv(sensor.corrected(seen)[1])
             jacobians[0] = by_point @ np.array([[-1.0, 0.0, y], [0.0, -1.0, -x]])
-            jacobians[1] = by_point @ np.array([[c, s], [-s, c]])
+            jacobians[1] = by_point @ to_robot
             jacobians[2] = -by_point @ sensor.jacobian(seen)
         return np.array([wrap_angle(math.atan2(left, ahead) - self._bearing), distance - self._distance])
 
 
-def graph_of(factor: gtsam.NonlinearFactor) -> gtsam.NonlinearFactorGraph:
-    """The graph of one factor."""
-    graph = gtsam.NonlinearFactorGraph()
-    graph.add(factor)
-    return graph
+def prior_factors(prior: LandmarkPrior, keys: Sequence[int], values: gtsam.Values) -> list[gtsam.NonlinearFactor]:
+    """The joint Gaussian of earlier landmarks about their `values`, and the arbitrary place of each wall's origin.
 
-
-def prior_jacobians(prior: LandmarkPrior, frames: Array) -> list[Array]:
-    """Jacobians by GTSAM's tangent of each landmark: of the whitened landmarks, then of each wall's shift along itself.
-
-    `frames` (n, 3) are those of walls; of points they are unused.
+    As a quadratic form it is eliminated in a third of the time that rows for all numbers of the landmarks take.
     """
-    n = len(prior.ids)
-    root = root_information(floored(prior.cov))
-    _, axes = lines(frames)
-    along = np.cumsum(prior.walls) - 1 + 2 * n
-    blocks = []
-    for k, is_wall in enumerate(prior.walls.tolist()):
-        block = np.zeros((2 * n + int(prior.walls.sum()), 3 if is_wall else 2))
-        block[: 2 * n] = root[:, 2 * k : 2 * k + 2] @ axes[k] if is_wall else root[:, 2 * k : 2 * k + 2]
+    root, blocks, factors = root_information(floored(prior.cov)), [], []
+    loose = gtsam.noiseModel.Diagonal.Sigmas(np.array([_FIRST_M, _LATER_M, _LATER_M]))
+    for k, (key, is_wall) in enumerate(zip(keys, prior.walls.tolist(), strict=True)):
+        block = root[:, 2 * k : 2 * k + 2]
         if is_wall:
-            block[along[k], 0] = 1.0 / FIRST_M  # the place of its origin along it is arbitrary
+            frame = values.atPose2(key)
+            factors.append(gtsam.PriorFactorPose2(key, frame, loose))
+            block = block @ lines(to_pose(frame).array()[None])[1][0]
         blocks.append(block)
-    return blocks
+
+    def whitened(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        if jacobians is not None:
+            for k, block in enumerate(blocks):
+                jacobians[k] = block
+        return np.zeros(len(root))  # the landmarks are at their means
+
+    exact = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(root)), list(keys), whitened).linearize(values)
+    return [*factors, gtsam.LinearContainerFactor(gtsam.HessianFactor(exact), values)]
 
 
-def prior_frames(prior: LandmarkPrior) -> Array:
-    """(n, 3) frames of walls, whose origins are the middles of what was seen; of points they are unused."""
-    alpha = prior.landmarks[:, 0]
-    c, s = np.cos(alpha), np.sin(alpha)
-    middle = prior.extents.mean(axis=1)
-    off = prior.landmarks[:, 1] - (c * middle[:, 0] + s * middle[:, 1])
-    return np.column_stack([middle[:, 0] + off * c, middle[:, 1] + off * s, wrap_angle(alpha - 0.5 * math.pi)])
+def prior_frame(landmark: Array, extent: Array) -> Pose:
+    """The frame of a wall (2,) of an earlier run, whose origin is the middle of what was seen of it (2, 2)."""
+    normal, middle = rotation(float(landmark[0]))[:, 0], extent.mean(axis=0)
+    x, y = middle + (float(landmark[1]) - normal @ middle) * normal
+    return Pose(x, y, float(landmark[0]) - 0.5 * math.pi)

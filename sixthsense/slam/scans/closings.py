@@ -1,23 +1,15 @@
-"""Closings and thinning: which links close loops and are taken back, and which keyframes leave the graph.
-
-Where enough keyframes show a place from much the same pose, later ones leave the graph. A robot that comes back to the
-same rooms all day adds keyframes for ever, and nothing new by them. Keeping the poses that are there already, once a
-place is known, is the reduced pose graph of Johannsson, Kaess, Fallon and Leonard, ICRA 2013. A keyframe leaves some
-time after it was made. Its links are lost, so that nothing is counted twice.
-"""
+"""Closings and thinning: which links close loops and are taken back, and which keyframes leave the graph."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import wrap_angle
 from sixthsense.slam.scans.graph import LINKS, OLD_AGE, PERIOD, ScanGraph
 from sixthsense.slam.scans.links import Alignments
+from sixthsense.slam.thinning import is_crowded
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
-_NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
-_ENOUGH = 8  # such keyframes
 _LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
 
 
@@ -111,8 +103,6 @@ class Thinning:
         graph = self._graph
         if old_links[k : k + LINKS + 1].min() < _LEAST_OLD_LINKS:
             return False
-        kept: NDArray[np.bool_] = graph.is_kept[:k].copy()
+        kept = graph.is_kept
         kept[self._spare] = False
-        off = graph.poses[:k][kept] - graph.poses[k]
-        near = (np.hypot(off[:, 0], off[:, 1]) < _NEAR_M) & (np.abs(wrap_angle(off[:, 2])) < _NEAR_RAD)
-        return bool(np.count_nonzero(near) >= _ENOUGH)
+        return is_crowded(graph.poses, kept, k)

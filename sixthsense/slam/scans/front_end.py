@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import KEEP_POSES, STATES_RELATIVE
+from sixthsense.config.parts import KEEP_POSES
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, propagated
@@ -27,7 +27,6 @@ from sixthsense.core.se2 import (
 )
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
-from sixthsense.slam.estimators.base import StatesRelative
 from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
@@ -158,11 +157,8 @@ class ScanFrontEnd:
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
         """(m, 3, 3) covariance of the motion from each first keyframe to the second.
 
-        With the private errors of their scans, which links do not have. `pairs` (m, 2) are of keyframes; InputError for
-        an estimator that cannot say it.
+        With the private errors of their scans, which links do not have. `pairs` (m, 2) are of keyframes.
         """
-        if not isinstance(self._estimator, StatesRelative):
-            raise InputError("estimator", f"found {self._config.estimator}", STATES_RELATIVE)
         found = self._estimator.relative_covariances(pairs)
         own = {key: move_covariance(self._mount, self._private(key)) for key in np.unique(pairs).tolist()}
         first, second = (np.array(self._estimator.poses_at(keys.tolist())).reshape(-1, 3) for keys in pairs.T)

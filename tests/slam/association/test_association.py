@@ -57,16 +57,6 @@ def test_a_near_observation_is_matched_a_far_one_is_new_and_an_ambiguous_one_is_
     assert found.discarded == 1 - sum(expected)
 
 
-def test_the_assignment_is_the_best_for_all_not_for_the_first():
-    """Two landmarks in a row, two observations shifted along it: greedy nearest-first matching would be wrong."""
-    points = np.array([[2.0, 0.0], [2.5, 0.0]])
-    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    estimator.update(associator.associate(sight(Pose(), [0, 1], sigma=0.15, points=points), estimator).observations)
-    shifted = points + np.array([0.3, 0.0])
-    found = associator.associate(sight(Pose(), [0, 1], sigma=0.15, points=shifted), estimator)
-    assert {i: round(float(s.z[0]), 3) for i, s in found.observations.items()} == {0: 2.3, 1: 2.8}
-
-
 def test_an_empty_scan_and_an_empty_map_cause_no_error():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     empty = associator.associate([], estimator)
@@ -112,25 +102,6 @@ def test_the_nis_of_all_matches_together_is_their_degrees_of_freedom(sigma):
         nis, dof = nis + found.nis, dof + found.dof
     assert dof > 2900  # the gate loses one in a thousand
     assert nis / dof == pytest.approx(1.0, abs=4 * math.sqrt(2 / dof))
-
-
-def test_among_close_landmarks_an_observation_is_matched_correctly_or_not_at_all():
-    """Landmarks 0.4 m apart, pose error within its covariance: every match is correct."""
-    points = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2) * 0.4 + 1.0
-    wrong = total = 0
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-        estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-        born = associator.associate(sight(Pose(), range(25), rng, 0.02, points), estimator)
-        estimator.update(born.observations)
-        cov = np.diag([1e-3, 1e-3, 4e-4])
-        true = Pose.from_array(rng.multivariate_normal(np.zeros(3), cov))
-        estimator.predict(Odometry(Pose(), cov))
-        seen = sight(true, range(25), rng, 0.02, points)
-        for i, observation in associator.associate(seen, estimator).observations.items():
-            total += 1
-            wrong += i != next(k for k, s in enumerate(seen) if s is observation)
-    assert total > 2300 and wrong / total < 0.01
 
 
 def test_named_observations_are_accepted_and_gated_by_their_innovation():

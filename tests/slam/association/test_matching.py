@@ -71,3 +71,4 @@ def test_the_pose_and_the_squared_innovation_of_matches_together(case):
     pose = found.pose_given(estimate.pose, np.array([2, 1, -1, 3]))
     assert np.allclose(pose.array(), Pose.from_array(estimate.pose.array() + gain @ with_pose[index]).array())
     assert found.nis([seen[i] for i in rows], cols) == pytest.approx(y @ gain)
+    assert found.worth(np.array([2, 1, -1, 3]), 11.0) == pytest.approx(33.0 - y @ gain)

@@ -8,7 +8,6 @@ import pytest
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation, line_point
-from sixthsense.slam.association.innovations import compare
 from sixthsense.slam.association.observed import Distances, Observed, collinear_pairs, ends, joined
 from sixthsense.slam.association.records import Record, less_certain, unit_cov
 from sixthsense.slam.estimators.base import Estimate
@@ -113,16 +112,3 @@ def test_a_crooked_wall_is_uncertain_by_its_mean_square_and_a_tilt_of_thrice_tha
     record = Record(Kind.WALL, 3, 0, 0, square_m2=0.003, looks=2)
     assert less_certain(wall, record).cov == pytest.approx(wall.cov + 3 * 0.003 * cov)
     np.testing.assert_array_equal(unit_cov(0.4, 2.8, False), np.eye(2))  # a point is off along any axis
-
-
-def test_matches_are_worth_the_gate_for_each_less_their_squared_innovation_together():
-    seen, estimate, _ = seen_and_known(np.random.default_rng(13), 5)
-    root = np.random.default_rng(1).normal(size=(13, 13)) * 0.2
-    found = compare(Observed.of(seen), np.zeros(5), estimate, np.arange(5), root @ root.T)
-    matched = np.array([3, -1, 0, -1, 2])
-    values = found.pairs.values[[0, 2, 4], [3, 0, 2]].ravel()
-    index = np.array([6, 7, 0, 1, 4, 5])
-    S = found.pairs.predicted[np.ix_(index, index)].copy()
-    for k, (i, j) in enumerate(((0, 3), (2, 0), (4, 2))):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += found.pairs.noise[i, j]
-    assert found.worth(matched, 11.0) == pytest.approx(33.0 - values @ np.linalg.solve(S, values))

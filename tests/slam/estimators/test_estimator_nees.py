@@ -110,10 +110,3 @@ def test_over_several_rounds_the_standard_filter_leaves_its_bands():
     """On the same drives, measured: pose 4.0 (band to 3.8), heading 1.80 (1.48), landmark 3.2 (2.7)."""
     values = mean_laps("ekf", 40, 4, 0.06)[:4]
     assert (values > bands(40)[1]).all(), values
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_the_whole_map_is_consistent_while_the_heading_is_certain(name):
-    """Two hundred short drives, five landmarks and the pose at once; 40 of them in the fast test."""
-    assert_consistent([short_drive(name, seed)[1] for seed in range(1000, 1200)], 13)

@@ -186,13 +186,6 @@ def test_the_filter_agrees_with_a_textbook_one(name, seed):
     assert np.allclose(joint, P, atol=1e-9)
 
 
-def test_the_variants_differ_from_the_standard_filter():
-    """On the drive of the comparison the filters differ."""
-    log = random_log(0, DENSE)
-    poses = np.array([fed(make(name), log).estimate().pose.array() for name in REFERENCES])
-    assert min(np.abs(a - b).max() for k, a in enumerate(poses) for b in poses[:k]) > 1e-5
-
-
 @pytest.mark.parametrize("name", ["ekf-fej", "ekf-oc", "ekf-invariant"])
 def test_forgetting_keeps_the_linearization_points_of_the_others(name):
     """After landmarks without evidence are forgotten, the filter equals one that never had them."""

@@ -28,8 +28,7 @@ MISSING = np.zeros(2)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_default_settings_stay_near_the_converged_solution(seed):
     """Measured over six drives: 0.1 % of a sigma on average, 2.7 % at most; covariances within 1.2 % and 8 %."""
-    # With all poses: which ones add too little to stay is decided by covariances, which differ a little.
-    near, there = (make("isam2", isam2=each.replaced(least_gain=0.0)) for each in (DEFAULT, CONVERGED))
+    near, there = (make("isam2", isam2=each) for each in (DEFAULT, CONVERGED))
     gaps, cov_gaps = [], []
     for odometry, observations in random_log(seed, POINTS, steps=150, most=6):
         for smoother in (near, there):
@@ -43,7 +42,6 @@ def test_the_default_settings_stay_near_the_converged_solution(seed):
     assert max(gaps) < 0.05 and np.mean(gaps) < 0.005
     assert max(cov_gaps) < 0.1 and np.mean(cov_gaps) < 0.02
     assert np.abs(one.landmarks - two.landmarks).max() < 1e-3
-    assert near.graph_error() == pytest.approx(there.graph_error(), rel=1e-3)
 
 
 def test_the_correlations_of_a_motion_known_to_a_tenth_of_a_millimetre_are_kept():
@@ -73,15 +71,6 @@ def crossed(config, wrong=None, seed=0):
     return float(np.linalg.norm(smoother.estimate().landmarks[order][0] - POINTS[0])), smoother
 
 
-@pytest.mark.parametrize("robust", ["huber", "cauchy"])
-def test_a_robust_loss_holds_against_a_wrong_match(robust):
-    config = ISAM2Config(robust=robust, iterations=3, undo_probability=1.0)
-    plain, _ = crossed(TRUSTING, np.array([3.0, -2.0]))
-    guarded, _ = crossed(config, np.array([3.0, -2.0]))
-    clean, _ = crossed(TRUSTING)
-    assert guarded < 0.5 * plain and abs(guarded - clean) < 0.02 < plain
-
-
 def test_a_match_that_contradicts_all_others_is_rejected():
     exact = {"relinearize_threshold": 1e-9, "iterations": 5}
     trust = ISAM2Config(**exact, undo_probability=1.0)
@@ -96,22 +85,3 @@ def test_a_match_that_contradicts_all_others_is_rejected():
 
 def test_no_correct_match_is_rejected_by_chance():
     assert all(crossed(DEFAULT, seed=seed)[1].rejected == 0 for seed in range(10))
-
-
-def test_past_poses_gain_from_later_observations():
-    """The smoothed trajectory is nearer to the truth than the filtered one."""
-    errors = []
-    for seed in range(5):
-        rng, true, causal, truth = np.random.default_rng(seed), START, [], []
-        smoother = make("isam2", START, np.zeros((3, 3)), DEFAULT)
-        for k in range(80):
-            odometry = step(sigma=0.05)
-            smoother.predict(odometry)
-            true = true @ noisy(odometry, rng)
-            smoother.update(sight(true, range(6), rng, points=POINTS) if k < 10 or k > 60 else {})
-            causal.append(smoother.estimate().pose.position)
-            truth.append(true.position)
-        smoothed = smoother.trajectory()[:, :2]
-        errors.append([np.linalg.norm(np.array(rows) - truth, axis=1).mean() for rows in (causal, smoothed)])
-    before, after = np.mean(errors, axis=0)
-    assert after < 0.7 * before

@@ -27,20 +27,6 @@ def test_without_links_nothing_is_lost(gone):
     assert np.array_equal(less.poses_at([3, 0, 7]), less.trajectory()[[3, 0, 7]])
 
 
-def test_links_of_a_pose_that_is_taken_out_are_lost_and_others_stay():
-    less, other = linked("isam2"), linked("isam2")
-    links = [seen(less, 1, 6), seen(less, 0, 4), seen(less, 2, 4)]
-    ids = less.link(links)
-    other.link(links[:1])
-    assert less.take_out([4]) == ids[1:]
-    assert_same(joint_state(other), joint_state(less), 1e-5)
-    with pytest.raises(KeyError):
-        less.unlink(ids[1:2])
-    less.unlink(ids[:1])
-    other.unlink(ids[:1])
-    assert_same(joint_state(other), joint_state(less), 1e-5)
-
-
 def test_a_pose_that_was_taken_out_stays_where_it_was_beside_the_one_before_it():
     smoother = linked("isam2")
     smoother.take_out([4])
@@ -50,17 +36,6 @@ def test_a_pose_that_was_taken_out_stays_where_it_was_beside_the_one_before_it()
     assert np.abs(after - before).max() > 0.1
     kept, moved = (Pose.from_array(rows[3]).inverse() @ Pose.from_array(rows[4]) for rows in (before, after))
     assert np.allclose(kept.array(), moved.array(), atol=1e-9)
-
-
-@pytest.mark.parametrize("wrong", [[0], [7], [8], [-1], [4, 3], [5, 5], [2]])
-def test_another_order_and_the_ends_are_refused(wrong):
-    smoother = linked("isam2")
-    smoother.take_out([2])
-    before = joint_state(smoother), smoother.trajectory()
-    with pytest.raises(KeyError, match="updates: found"):
-        smoother.take_out(wrong)
-    assert_same(before[0], joint_state(smoother))
-    assert np.array_equal(before[1], smoother.trajectory())
 
 
 def test_with_the_wheels_as_a_variable_the_motions_still_depend_on_them():

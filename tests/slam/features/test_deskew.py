@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scanned import box, look
+from scanned import box
 
 from sixthsense.config import AssumedConfig, Config, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
@@ -19,7 +19,6 @@ from sixthsense.record.bag import write_bag
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
 from sixthsense.simulation.world import World
-from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
 
 ROOM = box(-2, -2, 4, 4)
@@ -73,22 +72,6 @@ def test_a_turning_robot_keeps_no_direction_twice_and_leaves_a_gap_open() -> Non
         if closed:
             assert len(moved.ranges) < len(raw.ranges)
             assert 2.0 * math.pi - span < 2.0 * spacing
-
-
-@pytest.mark.parametrize("landmarks", ["corners", "both"])
-def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instantaneous_one(landmarks: str) -> None:
-    config = merge(SWEPT, {"features": {"landmarks": landmarks}})
-    for speed, turn_rate in ((0.5, 0.0), (0.2, 0.8), (0.2, -0.8)):
-        _, moved, truth = last_scan(config, speed, turn_rate)
-        instant = look(truth, ROOM, config.laser.replaced(sweep_s=0.0))
-        one, two = (extract(s, ASSUMED, config.features).observations for s in (moved, instant))
-        for observation in one:
-            assert any(
-                s.kind == observation.kind
-                and np.hypot(*((observation.z - s.z + math.pi) % (2 * math.pi) - math.pi)) < 0.02
-                for s in two
-            )
-        assert len(one) >= len(two) - 2
 
 
 def test_the_noise_of_a_sweep_is_that_of_the_odometry_within_it() -> None:

@@ -1,4 +1,3 @@
-import itertools
 import math
 
 import numpy as np
@@ -6,7 +5,7 @@ import pytest
 from predicted import predict_walls
 from scanned import box, look
 
-from sixthsense.config import PartitionConfig, merge, preset
+from sixthsense.config import PartitionConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of
 from sixthsense.core.landmarks import Kind
@@ -15,7 +14,7 @@ from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
 from sixthsense.slam.features.lines import LineRules, fit_lines
-from sixthsense.slam.features.partition import partition, split, split_pieces
+from sixthsense.slam.features.partition import partition, split
 
 
 def corners():
@@ -81,27 +80,6 @@ def test_splitting_agrees_with_the_recursion_of_the_report():
         assert split(points, 0, len(points) - 1, 0.5).tolist() == expected
 
 
-def reference_spans(points, pieces, cyclic, epsilon, min_points):
-    """Spans between the ends of each piece, without the returns at which it was split, and the pieces they are of."""
-    spans = []
-    for p, (first, past) in enumerate(pieces.tolist()):
-        ends = reference_split(points, first, past - 1, epsilon) if past - first >= min_points else []
-        for a, b in itertools.pairwise(ends):
-            spans.append((a + (a != first or cyclic), b + (b == past - 1 and not cyclic), p))
-    return spans
-
-
-@pytest.mark.parametrize("epsilon", [0.5, math.inf])
-def test_the_spans_of_all_pieces_are_those_of_one_piece_after_the_other(epsilon):
-    rng = np.random.default_rng(3)
-    for k in range(100):
-        points = np.cumsum(rng.normal(size=(40, 2)), axis=0)
-        pieces = np.array([[0, 40]]) if k % 3 == 0 else np.array([[0, 3], [3, 17], [20, 40]])
-        spans, owners = split_pieces(points, pieces, k % 3 == 0, epsilon, 5)
-        expected = reference_spans(points, pieces, k % 3 == 0, epsilon, 5)
-        assert [(a, b, p) for (a, b), p in zip(spans.tolist(), owners.tolist(), strict=True)] == expected
-
-
 def test_a_line_is_fitted_without_the_returns_that_are_far_from_it():
     rng, rules = np.random.default_rng(1), LineRules(0.02, 6, 0.2, 0.0)
     for _ in range(30):
@@ -113,22 +91,6 @@ def test_a_line_is_fitted_without_the_returns_that_are_far_from_it():
         lines, where, owner = fit_lines(points, np.array([[0, 40]]), rules, LaserSigmas(0.004, 0.0))
         assert len(lines) == len(where) == 1 and set(np.flatnonzero(owner < 0)) >= set(far)
         assert abs(wrap_angle(lines[0, 0] - alpha)) < 0.004 and abs(lines[0, 1] - d) < 0.004
-
-
-def total_least_squares(points):
-    mean = points.mean(axis=0)
-    normal = np.linalg.svd(points - mean)[2][1]
-    d = normal @ mean
-    return (math.atan2(*(normal * np.sign(d))[::-1]), abs(d))
-
-
-def test_with_equal_noise_across_the_line_the_fit_is_the_orthogonal_one():
-    """At a large distance and normal incidence all weights are equal."""
-    rng = np.random.default_rng(2)
-    points = np.stack([100.0 + rng.normal(0, 0.01, 50), np.linspace(-1, 1, 50)], axis=1)
-    fit = fit_line(points, np.arange(50), LaserSigmas(0.01, 0.0))
-    alpha, d = total_least_squares(points)
-    assert wrap_angle(fit[0] - alpha) == pytest.approx(0.0, abs=1e-5) and fit[1] == pytest.approx(d, abs=1e-5)
 
 
 @pytest.mark.parametrize("sigma_bearing", [0.0, 0.002])
@@ -208,53 +170,6 @@ def test_landmarks_are_correct_and_their_covariance_is_consistent():
     for values in nees.values():
         assert len(values) > 2000
         assert 1.8 < np.mean(values) < 2.2
-
-
-@pytest.mark.parametrize("sigma", [0.003, 0.03])
-def test_the_covariances_follow_the_noise(sigma):
-    stages = {"split": {"epsilon_m": 6 * sigma}, "lines": {"threshold_m": 5 * sigma}}
-    config = merge(corners(), {"assumed": {"laser": {"range_m": sigma}}, "features": stages})
-    rng = np.random.default_rng(6)
-    values = [e @ np.linalg.solve(s.cov, e) for s, e in observations_and_truth(config, rng, free_poses(rng, 400), sigma)
-              if s.kind == Kind.CORNER and math.hypot(*e) < 0.5]  # fmt: skip
-    assert len(values) > 500 and 1.7 < np.mean(values) < 2.3
-
-
-def test_two_corners_of_one_wall_have_independent_errors():
-    """Each return is evidence once: the halves of a wall's returns make its two ends."""
-    config, rng = corners(), np.random.default_rng(7)
-    room, pose = box(-2, -1.5, 4, 3), Pose(0.2, 0.1, 0.0)
-    pairs = []
-    for _ in range(1500):
-        features = extract(scan_from(pose, config, rng, walls=room), config.assumed, config.features)
-        ends = {(z[0] > 0, z[1] > 0): pose @ z for z in (s.z for s in features.observations)}
-        if len(ends) == 4:
-            # Errors across the upper wall, of its left and right corner.
-            pairs.append((ends[False, True][1] - 1.5, ends[True, True][1] - 1.5))
-    assert len(pairs) > 1000
-    assert abs(np.corrcoef(np.array(pairs).T)[0, 1]) < 0.1
-
-
-def test_the_first_level_can_be_that_of_the_report():
-    config = merge(corners(), {"features": {"partition": {"method": "fixed"}}})
-    rng = np.random.default_rng(10)
-    features = extract(scan_from(Pose(1.5, 1.0, 0.3), config, rng), config.assumed, config.features)
-    kinds = {s.kind for s in features.observations}
-    assert len(features.walls) >= 3 and kinds == set(Kind) - {Kind.WALL}
-
-
-def test_walls_lie_on_the_true_walls_for_any_mount():
-    config = merge(corners(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
-    rng, pose = np.random.default_rng(11), Pose(1.4, 1.2, -0.7)
-    features = extract(scan_from(pose, config, rng), config.assumed, config.features)
-    for observation in features.observations:
-        world = pose @ observation.z
-        assert np.linalg.norm(LANDMARKS - world, axis=1).min() < 0.1
-    for a, b in pose @ features.walls:
-        middle = 0.5 * (a + b)
-        along = WALLS[:, 1] - WALLS[:, 0]
-        t = np.clip(np.einsum("ij,ij->i", middle - WALLS[:, 0], along) / np.einsum("ij,ij->i", along, along), 0, 1)
-        assert np.linalg.norm(WALLS[:, 0] + t[:, None] * along - middle, axis=1).min() < 0.05
 
 
 @pytest.mark.parametrize("ranges", [np.full(360, np.inf), np.zeros(360), np.full(360, 1e-3), np.full(360, 9.99)])

@@ -98,25 +98,3 @@ def test_no_line_spans_two_walls_that_meet_at_one_and_a_half_degrees():
         off = np.abs(turns[:, None] - np.array([0.0, -bend])) / np.sqrt([[s.cov[0, 0]] for s in observations])
         assert (off.min(axis=1) < 4.5).all()
         assert set(off.argmin(axis=1).tolist()) == {0, 1}
-
-
-def test_two_faces_five_centimetres_apart_are_two_landmarks():
-    walls = np.array([[(2.0, -3.0), (2.0, 0.0)], [(2.0, 0.0), (2.05, 0.0)], [(2.05, 0.0), (2.05, 3.0)]])
-    rng = np.random.default_rng(5)
-    config = preset()
-    for _ in range(30):
-        near, far = sorted(-s.z[1] for s in walls_observed(walls, config, rng))
-        assert near == pytest.approx(2.0, abs=0.015)
-        assert far == pytest.approx(2.05, abs=0.015)
-
-
-def test_the_floor_of_a_walls_direction_leaves_its_middle_as_certain_as_it_was():
-    walls = np.array([[(2.0, 1.0), (2.0, 5.0)]])
-    variances = []
-    for floor in (0.0, 0.05):
-        config = preset(assumed={"wall_floor_rad": floor})
-        (observation,) = walls_observed(walls, config, np.random.default_rng(9))
-        middle = 0.5 * sum(observation.extent)
-        lever = np.array([-middle, 1.0])
-        variances.append(float(lever @ observation.cov @ lever))
-    assert variances[1] == pytest.approx(variances[0], rel=1e-3)

@@ -1,6 +1,7 @@
 """Scan matching without odometry: the last velocity predicts, and its covariance is honest."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -94,13 +95,18 @@ def test_between_keyframes_the_covariance_is_that_of_the_guess_along_a_corridor(
     assert np.all(along > 0.05) and np.all(across < 0.05)
 
 
+def predicted(velocity, since, duration_s, is_scan):
+    """The motion of a tick with a scan, or without one."""
+    return velocity.increment(Pose(), SimpleNamespace(scan=True if is_scan else None), duration_s, since)
+
+
 def test_the_guess_grows_with_time_and_is_least_known_at_first():
     velocity = LastVelocity()
-    first = velocity.predicted(Pose(), 0.2, True)
+    first = predicted(velocity, Pose(), 0.2, True)
     assert first.motion == Pose() and np.sqrt(first.cov[0, 0]) == pytest.approx(0.2, rel=0.1)
     parts, whole = LastVelocity(), LastVelocity()
-    two = parts.predicted(Pose(), 0.1, False).cov + parts.predicted(Pose(), 0.1, False).cov
-    np.testing.assert_allclose(two, whole.predicted(Pose(), 0.2, False).cov, rtol=1e-9)
+    two = predicted(parts, Pose(), 0.1, False).cov + predicted(parts, Pose(), 0.1, False).cov
+    np.testing.assert_allclose(two, predicted(whole, Pose(), 0.2, False).cov, rtol=1e-9)
 
 
 def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():
@@ -115,11 +121,11 @@ def test_what_a_scan_is_off_by_within_a_millisecond_is_no_velocity_of_metres_a_s
     """The way of a millisecond is known better than any scan tells it: 4 mm are the scan's error."""
     velocity, cov, since = LastVelocity(), np.diag([9e-6, 9e-6, 4e-6]), STANDSTILL
     for k in range(1, 4):  # the robot moves at .5 m/s, a scan each .2 s
-        since = since.then(velocity.predicted(since.motion, 0.2, True))
+        since = since.then(predicted(velocity, since.motion, 0.2, True))
         since = velocity.aligned(since, Odometry(Pose(0.1 * k, 0.0, 0.0), cov))
     for off in (0.004, -0.004):
         velocity.begin_anew()
-        since = STANDSTILL.then(velocity.predicted(Pose(), 1e-3, False))
+        since = STANDSTILL.then(predicted(velocity, Pose(), 1e-3, False))
         since = velocity.aligned(since, Odometry(Pose(since.motion.x + off, off, 0.0), cov))
-        after = velocity.predicted(since.motion, 0.2, False).motion
+        after = predicted(velocity, since.motion, 0.2, False).motion
         assert np.hypot(after.x, after.y) < 0.3

@@ -12,7 +12,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels, WheelTerms, wheel_prior
-from sixthsense.slam.motion_source import UNSTEADY, ByWheels, CalibratedWheels, with_wheel_errors
+from sixthsense.slam.motion_source import UNSTEADY, ByWheels, with_wheel_errors
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(front_end="scan-matching", calibrate_wheels=True)
@@ -51,9 +51,7 @@ def test_errors_that_are_known_leave_what_no_parameter_describes():
     odometry = Odometry(Pose(0.25, 0.0, 0.0), 1e-6 * np.eye(3), WheelTerms(Wheels(), jacobian))
     sigmas = ([0.0] * 3, [0.05, 0.0, 0.03])
     known, unknown = (ParameterEstimate(Wheels(), np.diag(each) ** 2) for each in sigmas)
-    sources = [ByWheels(AssumedConfig()), CalibratedWheels(AssumedConfig()), CalibratedWheels(AssumedConfig())]
-    for source, wheels in zip(sources[1:], (known, unknown), strict=True):
-        source.use(wheels)
+    sources = [ByWheels(AssumedConfig(), wheels) for wheels in (None, known, unknown)]
     of_any, of_known, of_unknown = (source.for_tracking(odometry).cov for source in sources)
     assert np.array_equal(of_known, with_wheel_errors(odometry, share=UNSTEADY).cov)
     assert np.allclose(of_unknown - of_known, np.diag([0.0125, 0.0, 0.0075]) ** 2)
@@ -64,7 +62,7 @@ def test_errors_that_are_known_leave_what_no_parameter_describes():
 
 def test_a_covariance_that_the_log_states_is_not_enlarged():
     stated = Tick(7, Pose(1.2, 0.3, 0.4), increment_cov=1e-5 * np.eye(3))
-    for source in (ByWheels(AssumedConfig()), CalibratedWheels(AssumedConfig())):
+    for source in (ByWheels(AssumedConfig()), ByWheels(AssumedConfig(), wheel_prior(AssumedConfig()))):
         for is_stated in (True, False):
             tick = stated if is_stated else replace(stated, increment_cov=None)
             moved = source.increment(Pose(1.0, 0.2, 0.3), tick, 0.1, Pose())
