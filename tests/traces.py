@@ -95,7 +95,6 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.last_position = rng.normal(size=2)
     cause = Cause("slip", "the wheels slipped", 1.5, 2.5, rng.normal(size=(2, 2)))
     trace.verdict = Verdict("doubtful", 0.375, rng.random(keys), (cause,), {"agreement": 0.625})
-    trace.audit = {"text": "ATE 0.1 m", "nees": [2.5, None]}
     trace.key_measured = [k % 2 == 0 for k in range(keys)]
     trace.tours = [rng.normal(size=(k, 2)) for k in (4, 2)]
     hits, passes, seen = rng.integers(0, 9, (5, 8)), rng.integers(0, 9, (5, 8)), rng.random((5, 8)) < 0.7

@@ -56,11 +56,6 @@ def dying(item: tuple[Path, int]) -> int:
     return os.getpid()
 
 
-def sleeping(mark: Path) -> None:
-    mark.write_text(str(os.getpid()))
-    time.sleep(600.0)
-
-
 def found(futures: dict[str, Future[float]]) -> dict[str, float | str]:
     return {key: str(future.exception() or future.result()) for key, future in futures.items()}
 
@@ -117,12 +112,3 @@ with Processes(1) as pool:
     while psutil.pid_exists(int(mark.read_text())):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-
-
-def test_processes_end_with_the_block_also_in_the_middle_of_a_call(tmp_path: Path) -> None:
-    mark = tmp_path / "mark"
-    with Processes(1) as pool:
-        pool.submit(sleeping, mark)
-        while not (mark.exists() and mark.read_text()):
-            time.sleep(0.01)
-    assert not psutil.pid_exists(int(mark.read_text()))

@@ -229,13 +229,3 @@ def test_workers_that_would_make_other_runs_are_refused(change: Any, said: str) 
         return
     with pytest.raises(InputError, match=said):
         check_workers(client, one)
-
-
-def test_a_row_has_the_axes_of_its_run_and_its_hash() -> None:
-    config = ss.preset("worn").replaced(scene="loop", seed=3, planner="rrtstar", task="tour")
-    names = {"scene": "loop", "estimator": "ekf-invariant", "front_end": "landmarks", "preset": "worn"}
-    names |= {"planner": "rrtstar", "task": "tour", "seed": 3, "extractor": "lines", "explorer": "frontier"}
-    names |= {"place_search": "branch-and-bound"}
-    assert worker.row_of(config) == {"config_hash": config_hash(config), **names}
-    with pytest.raises(InputError):
-        worker.run_row(config, "0.0.0")

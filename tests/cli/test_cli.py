@@ -79,15 +79,6 @@ def test_a_replay_with_relations_measures_them(here: Path, capsys: pytest.Captur
     assert not (here / "runs" / "some-isam2-1" / "truth.tum").exists()
 
 
-@pytest.mark.parametrize("option", ["--goal 1 2", "--task tour", "--world.laser.range-m 1", "--scene block"])
-def test_an_option_that_a_replay_would_ignore_is_refused(
-    option: str, here: Path, complaint: Callable[..., str]
-) -> None:
-    (here / "some.log").write_text(LOG)
-    said = complaint("replay", "some.log", *SHORT_LOG, *option.split())
-    assert said.startswith(option.split()[0].split(".")[0] + ": found on replay")
-
-
 def test_no_command_prints_the_usage_and_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == cli.BAD_INPUT
     assert capsys.readouterr().out.startswith("usage: sixthsense COMMAND")

@@ -54,12 +54,6 @@ def test_python_takes_the_same_options(first):
         ss.run("rectangle", pose=(0.0, 0.0, 0.0))
 
 
-def test_a_run_with_a_map_has_no_film(first, here, complaint):
-    assert cli.main(["run", "rectangle", *SHORT, "--prior-map", str(first), "--out", "second"]) == cli.DONE
-    line = complaint("report", "second", "--animate", "--out", "film")
-    assert line == "--animate: found a run that began with the prior map first, allowed: a run that began without a map"
-
-
 def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, complaint):
     (here / "other.toml").write_text(OTHER)
     line = complaint("run", "other.toml", "--prior-map", str(first))

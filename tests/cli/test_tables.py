@@ -142,12 +142,6 @@ def test_what_follows_from_an_option_is_said_in_a_line(settings: Callable[..., C
     assert "note:" not in capsys.readouterr().err
 
 
-def test_a_file_that_names_a_preset_is_read_over_that_and_not_over_another(complaint: Callable[..., str]) -> None:
-    Path("named.toml").write_text("preset = 'report'\nseed = 5\n")
-    said = complaint("run", "--config", "named.toml", "--preset", "worn")
-    assert said == "--preset: found 'worn' with named.toml, which names 'report', allowed: one of the two"
-
-
 def test_every_field_is_an_option_a_field_of_the_call_and_one_of_the_file() -> None:
     values = {name: value for name, value in {**changed(), **TOGETHER}.items() if value is not None}
     assert cli.main(["run", *words(values), "--out", "flags"]) == cli.DONE

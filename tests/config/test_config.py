@@ -9,7 +9,6 @@ from settings import changed, flat, nested
 from sixthsense.config import (
     PRESETS,
     Config,
-    as_table,
     is_of_replay,
     load_config,
     merge,
@@ -17,7 +16,7 @@ from sixthsense.config import (
     prior_map_of,
     save_config,
 )
-from sixthsense.config.errors import InputError, nearest, reason_of
+from sixthsense.config.errors import InputError
 from sixthsense.config.parts import ESTIMATORS
 from sixthsense.config.tree import task_of
 
@@ -133,11 +132,6 @@ def test_a_wrong_field_is_one_line_with_file_field_value_and_what_is_allowed(fie
     assert found in message and f"allowed: {allowed}" in message
 
 
-def test_bounds_that_depend_on_each_other_may_be_met(tmp_path: Path) -> None:
-    text = "grid.min_hits = 10\nfollow.distance_slack_m = 0.05\nlaser.sweep_s = 0.1\n"
-    assert load_config(written(tmp_path, text)).grid.min_hits == 10
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -204,14 +198,3 @@ def test_a_part_is_named_by_a_short_name_or_by_its_import_path() -> None:
     }.items():
         with pytest.raises(InputError, match=f"^estimator: found {name}, which .*{said}"):
             ESTIMATORS.load(name)
-
-
-def test_what_a_message_says_of_other_errors_and_of_misspelt_names() -> None:
-    assert reason_of(ValueError("two\n lines")) == "two lines" and reason_of(ValueError()) == "ValueError"
-    assert reason_of(ValueError("x" * 200)) == "x" * 160 + "..."
-    assert nearest("ISAM", ("ekf", "isam2")) == "isam2" and nearest("y" * 81, ("y" * 80,)) == nearest(3, ("3",)) == ""
-
-
-def test_a_table_leaves_out_what_is_none() -> None:
-    assert merge(Config(), as_table(Config(region=(0.5, 1.5, 2.5, 3.5)))).region == (0.5, 1.5, 2.5, 3.5)
-    assert {"goal", "tour", "start", "region", "max_time", "people"}.isdisjoint(as_table(Config()))

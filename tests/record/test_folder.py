@@ -1,4 +1,3 @@
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -72,14 +71,6 @@ def test_until_it_is_finished_the_folder_is_called_partial_and_knows_its_configu
     assert entries(tmp_path) == ["deep", partial, f"{partial}/{LOCK}", f"{partial}/config.toml"]
     folder.finish()
     assert entries(tmp_path) == ["deep", "deep/run", "deep/run/config.toml"]
-
-
-def test_a_failure_leaves_the_old_folder_whole(here: Path, trace: Trace) -> None:
-    made(here / "run")
-    broken = dataclasses.replace(trace, stamps_ns=trace.stamps_ns[:-1])
-    with pytest.raises(ValueError), RunFolder(here / "run", Config(seed=2), overwrite=True) as folder:
-        folder.write(broken, {})
-    assert entries(here / "run") == ["config.toml", FILE] and seed_of(here / "run") == 1
 
 
 # --- a run replaces an earlier run, and nothing else

@@ -109,12 +109,6 @@ def test_a_folder_without_a_part_of_the_map_is_refused(folder: Path, tmp_path: P
         read_prior_map(folder)
 
 
-def test_a_folder_without_a_grid_has_landmarks_alone(trace: Trace) -> None:
-    trace.grid = None
-    with written(trace) as folder:
-        assert len(read_prior_map(folder).evidence.cells) == 0
-
-
 def test_a_start_in_a_map_has_its_pose_and_sigmas_and_is_noted(folder: Path) -> None:
     start = prior_start(folder, (1.5, -2.5, 0.7), (0.3, 0.2, 0.1))
     assert start is not None and (start.pose, start.sigma) == (Pose(1.5, -2.5, 0.7), (0.3, 0.2, 0.1))

@@ -85,7 +85,7 @@ def test_a_trace_without_what_is_optional_comes_back_without_it() -> None:
     trace = trace_of(np.random.default_rng(8))
     trace.truths, trace.key_truths, trace.walkers, trace.touches, trace.scene = [], [], [], None, None
     trace.links = trace.relations = trace.wheels = trace.sensor = trace.grid = trace.loop_closures = None
-    trace.verdict = trace.audit = trace.plans_below_margin = trace.plans_by_astar = trace.guard_stops = None
+    trace.verdict = trace.plans_below_margin = trace.plans_by_astar = trace.guard_stops = None
     trace.records, trace.joint_cov, trace.left = {}, trace.joint_cov[:3, :3], []
     trace.final = Estimate.of_pose(trace.final.pose, trace.joint_cov)
     with written(trace) as folder:

@@ -94,24 +94,6 @@ def test_an_interrupt_that_python_drops_in_a_finalizer_comes_again():
     assert done.stdout == f"interrupted by {signal.SIGTERM.value}\n" and done.stderr == ""
 
 
-@pytest.mark.parametrize("is_ended", [False, True])
-def test_what_cannot_be_finalized_after_a_signal_is_not_reported(is_ended, monkeypatch):
-    """Before a signal Python tells of it as usual."""
-    told = []
-    monkeypatch.setattr(sys, "unraisablehook", lambda unraisable: told.append(unraisable.exc_type))
-
-    class HalfMade:
-        def __del__(self) -> None:
-            self.never_set.close()
-
-    with deferred_interrupt():
-        if is_ended:
-            press()
-        made = HalfMade()
-        del made
-    assert told == [] if is_ended else told == [AttributeError]
-
-
 COMPILING = """
 import os, random, signal, threading, time
 import numba

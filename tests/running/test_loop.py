@@ -88,12 +88,6 @@ def due(motion: Pose, distance_m: float = 0.25, turn_rad: float = 0.15) -> bool:
     return is_due(motion, Odometry(motion, np.zeros((3, 3))), KeyframeConfig(distance_m=distance_m, turn_rad=turn_rad))
 
 
-def test_at_standstill_nothing_moves_and_no_keyframe_is_taken() -> None:
-    seen = ticks(world(preset()), [Command()] * 100)
-    assert all(tick.truth == Pose() and tick.odometry == Pose() for tick in seen)
-    assert not due(Pose()) and not due(Pose(), distance_m=0.0, turn_rad=0.0)
-
-
 @pytest.mark.parametrize(
     ("motion", "expected"),
     [
