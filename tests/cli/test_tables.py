@@ -1,7 +1,6 @@
 """Tables: outcome and exit code; command, preset and base configuration; option and field; what beats what."""
 
 import shlex
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +14,6 @@ from sixthsense import cli
 from sixthsense.cli.common import Common, show_end
 from sixthsense.config import PRESETS, Config, load_config, merge, preset, save_config
 from sixthsense.config.errors import InputError
-from sixthsense.figures.report import _reproduction
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -187,32 +185,6 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "tour"
     ss.run("rectangle", task="tour", max_time=0.5, out=out, progress=False)
     return out
-
-
-@pytest.mark.parametrize(
-    ("replayed", "prior_map", "command", "again"),
-    [
-        (None, None, "run --config x/config.toml", "replay x"),
-        (
-            {"log": "a.bag", "topics": "/s,/o", "odometry_frames": "odom,base"}, None,
-            "replay a.bag --config x/config.toml --topics /s,/o --odometry-frames odom,base", "replay x",
-        ),
-        (
-            {"log": "mon", "merged_with": "tue"}, None,
-            "merge mon tue --config x/config.toml", "replay x",
-        ),
-        (
-            None, {"name": "first", "pose": [0.0, 0.0, 0.0], "pose_sigma": [0.0, 0.0, 0.0]},
-            "run --config x/config.toml --prior-map first --pose 0.0 0.0 0.0",
-            "replay x --prior-map first --pose 0.0 0.0 0.0",
-        ),
-    ],
-)  # fmt: skip
-def test_a_report_has_the_commands_that_repeat_its_run(replayed, prior_map, command, again, tour: Path) -> None:
-    shutil.copytree(tour, "x")
-    save_config(load_config("x/config.toml"), "x/config.toml", replayed, prior_map)
-    found = [line for line in _reproduction("", ss.load("x")).splitlines() if line.startswith("sixthsense")]
-    assert found == [f"sixthsense {command}", f"sixthsense {again}"]
 
 
 @pytest.mark.parametrize("switch", ["--features.no-deskew", "--features.deskew=false", "--features.deskew false"])
