@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import Triple, triple, wrapped
+from sixthsense.core.se2 import Triple, wrapped
 
 Mask = NDArray[np.bool_]
 
@@ -37,16 +37,6 @@ def predictions(pose: Triple, landmarks: Array, walls: Mask) -> tuple[Array, Arr
             by_landmark[k, 0, 0], by_landmark[k, 0, 1] = c, s
             by_landmark[k, 1, 0], by_landmark[k, 1, 1] = -s, c
     return z, by_pose, by_landmark
-
-
-@numba.njit(cache=True, error_model="numpy")
-def seen_from_each(poses: Array, landmarks: Array, walls: Mask) -> Array:
-    """Predicted observations (m, 2) of landmarks (m, 2), each from a pose of its own (m, 3)."""
-    z = np.empty((len(poses), 2))
-    for k in range(len(poses)):
-        seen = predictions(triple(poses[k]), landmarks[k : k + 1], walls[k : k + 1])[0]
-        z[k, 0], z[k, 1] = seen[0, 0], seen[0, 1]
-    return z
 
 
 @numba.njit(cache=True, error_model="numpy")

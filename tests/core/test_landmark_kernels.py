@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of, predictions, seen_from_each
+from sixthsense.core.landmark_kernels import innovations_of
 from sixthsense.core.landmarks import line_errors
 
 
@@ -20,13 +20,6 @@ def case(request):
     landmarks = rng.normal(size=(12, 2)) * 4.0
     landmarks[walls, 0] = wrap_angle(landmarks[walls, 0])
     return rng, Pose(*rng.normal(size=3) * 3.0), landmarks, walls
-
-
-def test_predictions_from_poses_of_their_own(case):
-    rng, _, landmarks, walls = case
-    poses = rng.normal(size=(12, 3)) * [3.0, 3.0, 1.0]
-    alone = [predictions(tuple(poses[k]), landmarks[[k]], walls[[k]])[0][0] for k in range(12)]
-    assert np.array_equal(seen_from_each(poses, landmarks, walls), alone)
 
 
 def test_innovations(case):

@@ -99,13 +99,6 @@ class LandmarkPrior:
     extents: Array
     """(n, 2, 2) ends of what was seen of a wall, world frame, m; unused for a point"""
 
-    def without(self, ids: Collection[LandmarkId]) -> LandmarkPrior:
-        """The others, with their marginal covariance."""
-        kept = np.flatnonzero(~np.isin(self.ids, list(ids)))
-        index = (2 * kept[:, None] + np.arange(2)).ravel()
-        cov = self.cov[np.ix_(index, index)]
-        return LandmarkPrior(self.ids[kept], self.landmarks[kept], self.walls[kept], cov, self.extents[kept])
-
 
 @runtime_checkable
 class Filter(Estimator, Protocol):
