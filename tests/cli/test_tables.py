@@ -176,17 +176,6 @@ def test_the_laser_that_a_file_states_beats_that_of_the_log(text: str, reach_m: 
     assert load_config("x/config.toml").laser.max_range == pytest.approx(reach_m)
 
 
-# What a report says of its run
-
-
-@pytest.fixture(scope="module")
-def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a short run."""
-    out = tmp_path_factory.mktemp("runs") / "tour"
-    ss.run("rectangle", task="tour", max_time=0.5, out=out, progress=False)
-    return out
-
-
 @pytest.mark.parametrize("switch", ["--features.no-deskew", "--features.deskew=false", "--features.deskew false"])
 def test_a_switch_is_turned_off_by_its_negative_or_by_a_value(switch: str, settings: Callable[..., Config]) -> None:
     assert not settings(f"run rectangle {switch}").features.deskew
