@@ -52,7 +52,7 @@ class _Map(BaseModel):
     negate: Annotated[Literal["0", "1", "false", "true"], BeforeValidator(_lower)]
     occupied_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
     free_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
-    mode: Annotated[Literal["trinary", "scale", "raw"], BeforeValidator(_lower)] = "trinary"
+    mode: Annotated[Literal["trinary"], BeforeValidator(_lower)] = "trinary"
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
@@ -60,27 +60,23 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
 
     Cells are solid from `free_thresh` on, so that beams and robots do not leave a building through the holes in a
     scanned wall, nor where the image ends in a corridor; with `unknown` free, cells whose occupancy is above
-    `occupied_thresh` alone. The pixel's value is the mean over the image's channels, alpha included in mode trinary, as
-    in Nav2's map_server, whose rules hold but for one: in mode trinary a pixel of 205 beside some of 254 is unknown
-    whatever `free_thresh` is, since map_saver has written it so. Fields of other programs are ignored. Raises
-    InputError, without the map file's name, for a field that is missing or not allowed, and for an image that is
-    missing, damaged, huge, entirely free or entirely solid.
+    `occupied_thresh` alone. The pixel's value is the mean over the image's channels, alpha included, as in Nav2's
+    map_server, whose rules of mode trinary hold but for one: a pixel of 205 beside some of 254 is unknown whatever
+    `free_thresh` is, since map_saver has written it so. Fields of other programs are ignored. Raises InputError,
+    without the map file's name, for a field that is missing or not allowed, such as another mode, and for an image that
+    is missing, damaged, huge, entirely free or entirely solid.
     """
     stated = checked(_Map, _read_yaml(file))
     image = file.parent / Path(stated.image).expanduser()
-    values, is_transparent = _read_image(image)  # (H, W, channels)
-    values = values if stated.mode == "trinary" or is_transparent is None else values[:, :, :-1]
+    values = _read_image(image)  # (H, W, channels)
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
     occupancy = shade if stated.negate in ("1", "true") else 1.0 - shade
-    is_unknown = np.zeros(len(shade), dtype=np.bool_)
-    if stated.mode == "raw":  # the pixels are the occupancy in percent
-        occupancy, is_unknown = 2.55 * shade, shade > 100.5 / 255.0
-    is_occupied = (occupancy > stated.occupied_thresh) & ~is_unknown
-    is_free = (occupancy < stated.free_thresh) & ~is_occupied & ~is_unknown
+    is_occupied = occupancy > stated.occupied_thresh
+    is_free = (occupancy < stated.free_thresh) & ~is_occupied
     saved, notes = _SAVED_UNKNOWN * channels, []
-    is_saved = stated.mode == "trinary" and {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
+    is_saved = {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
     if is_saved and is_free[saved]:
         is_free[saved] = False
         notes.append(
@@ -88,8 +84,6 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
             f"{stated.free_thresh:g} Nav2's map_server takes them as free"
         )
     occupied = is_occupied[total] if unknown == "free" else ~is_free[total]
-    if stated.mode == "scale" and is_transparent is not None:
-        occupied = np.where(is_transparent, unknown == "wall", occupied)
     if occupied.all() or not occupied.any():
         raise InputError(image, f"all pixels are {'occupied' if occupied.all() else 'free'}", "some of both")
     solid = occupied[::-1]  # the image's first row is the map's top
@@ -123,8 +117,8 @@ def _read_yaml(file: Path) -> Any:
         raise InputError("", f"is not YAML ({reason_of(error)})") from None
 
 
-def _read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
-    """The image's pixels (H, W, channels), 0 to 255, and (H, W) which are transparent; None without an alpha."""
+def _read_image(path: Path) -> NDArray[np.uint8]:
+    """The image's pixels (H, W, channels), 0 to 255."""
     from PIL import Image
 
     try:
@@ -138,12 +132,10 @@ def _read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None
                 found, allowed = f"found {image.width} x {image.height} pixels", f"{MAX_PIXELS:,} pixels in all"
                 raise InputError(path, found, allowed)
             if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
-                return (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)[:, :, None], None
-            if "A" in image.getbands() or "transparency" in image.info:
-                pixels = np.asarray(image.convert("RGBA"))
-                return pixels, pixels[:, :, -1] < 255
-            pixels = np.asarray(image.convert("L" if image.mode in ("1", "L") else "RGB"))
-            return pixels.reshape(*pixels.shape[:2], -1), None
+                return (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)[:, :, None]
+            has_alpha = "A" in image.getbands() or "transparency" in image.info
+            pixels = np.asarray(image.convert("RGBA" if has_alpha else "L" if image.mode in ("1", "L") else "RGB"))
+            return pixels.reshape(*pixels.shape[:2], -1)
     except InputError:
         raise
     except Image.DecompressionBombError:

@@ -117,16 +117,6 @@ def test_a_scripted_walk_has_its_speed_and_its_pause_at_each_point() -> None:
     assert people.headings[0] == pytest.approx(people.headings[0]) and people.poses.shape == (1, 3)
 
 
-def test_the_same_seed_gives_the_same_people_and_no_people_draw_nothing() -> None:
-    other_seed = walkers_of(load_scene("apartment"), preset(world={"walkers": 3}, seed=5), Pose(11.6, 0.8, 0.0), 0.18)
-    config = preset(world={"walkers": 3}, seed=4)
-    one, other = (walkers_of(load_scene("apartment"), config, Pose(11.6, 0.8, 0.0), 0.18) for _ in range(2))
-    assert one is not None and other is not None
-    assert other_seed is not None and not np.array_equal(one.at, other_seed.at)
-    assert np.array_equal(tracks(one, 20.0), tracks(other, 20.0))
-    assert walkers_of(load_scene("apartment"), preset(), Pose(11.6, 0.8, 0.0), 0.18) is None
-
-
 def test_two_people_who_meet_pass_each_other_on_the_right() -> None:
     people = walkers(walk((1.0, 2.0), (7.0, 2.0)), walk((7.0, 2.0), (1.0, 2.0)))
     found = tracks(people, 6.0)

@@ -171,15 +171,6 @@ def test_a_fast_robot_does_not_pass_a_thin_wall_and_is_not_stopped_by_one_beside
         assert driven(source, (50.0, 0.0))[-1].collided == is_hit
 
 
-def test_the_whole_disc_collides_with_the_end_of_a_wall():
-    walls = np.concatenate([ROOM, (START @ np.array([[0.5, 0.15], [0.5, 1.0]]))[None]])
-    source = world(walls=walls, radius=0.2)
-    while not (tick := source.step(Command(0.5, 0.0))).collided:
-        assert (START.inverse() @ tick.truth).x < 0.5
-    source = world(walls=walls, radius=0.14)
-    assert not any(source.step(Command(0.5, 0.0)).collided for _ in range(60))
-
-
 def test_glass_stops_the_robot_and_returns_nothing():
     config = preset("noiseless", laser=LASER)
     glass = (START @ np.array([[1.0, -0.8], [1.0, 0.9]]))[None]
