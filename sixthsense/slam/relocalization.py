@@ -22,7 +22,8 @@ from sixthsense.core.se2 import between, move_covariance
 from sixthsense.slam.prior_map import KeyScans, PriorMap
 from sixthsense.slam.scans.agreement import agreement_of, contradicted
 from sixthsense.slam.scans.alignment import Prior, Views
-from sixthsense.slam.scans.known_places import KnownPlaces, overlapping
+from sixthsense.slam.scans.graph import overlapping
+from sixthsense.slam.scans.known_places import CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import WIDE_GATE_M
 from sixthsense.slam.scans.place_search import (
     Candidate,
@@ -44,7 +45,6 @@ _KNOWN_M, _KNOWN_RAD = 0.03, 0.02  # sigmas below which linearization at the giv
 _LEAST_SHARE = 0.5  # of the returns that the earlier scans can judge
 _MOST_SQUARE = 21.1  # of a first pose: 0.9999 of chi-square with 3 degrees of freedom
 _PARTNERS = 3  # earlier scans that the first scan is aligned with
-_APART_M = 100.0  # of travel between an earlier run and this one: neither submap nor vote spans that
 
 FOUND_SIGMA = (0.1, 0.1, 0.05)
 """of a start that was found, m and rad; the first scan makes it precise"""
@@ -68,7 +68,7 @@ class SoughtScans:
             self.add(scan, laser, float(np.hypot(*(laser.array() - last)[:2])) + self.driven_m)
         self.known: NDArray[np.int64] = np.arange(self.store.count)
         """(n,) rows of the earlier run"""
-        self.begin_m = self.driven_m + _APART_M
+        self.begin_m = self.driven_m + CARRIED_M
         """way at which the robot begins"""
 
     @property

@@ -18,7 +18,6 @@ from sixthsense.slam.scans.place_search import (
     Candidate,
     ExpectedPoses,
     PlaceQuery,
-    candidates_fault,
     is_same_place,
 )
 from sixthsense.slam.scans.returns import ScanStore
@@ -88,7 +87,11 @@ def the_place_where_the_robot_is_is_among_what_is_proposed(part: Any) -> None:
 @LAWS.law()
 def candidates_are_poses_of_different_places_with_scores_the_best_first(part: Any) -> None:
     for _, found in _answers(part):
-        assert not candidates_fault(found), candidates_fault(found)
+        scores = [one.score for one in found]
+        is_sorted = scores == sorted(scores, reverse=True) and all(0.0 <= score <= 1.0 for score in scores)
+        assert is_sorted, f"found scores {scores}, allowed: 0 to 1, the best first"
+        is_pose = [np.shape(one.pose) == (3,) and bool(np.isfinite(one.pose).all()) for one in found]
+        assert all(is_pose), "found a pose that is not (3,) finite numbers"
         for k, one in enumerate(found):
             alike = [other for other in found[:k] if is_same_place(one.pose, other.pose)]
             assert not alike, f"found two candidates at {np.round(one.pose, 2).tolist()}, allowed: one"

@@ -6,7 +6,7 @@ import numpy as np
 
 from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, propagated
+from sixthsense.core.motion import Odometry, compose_jacobians, propagated
 from sixthsense.core.se2 import conjugate, move_covariance
 
 RNG = np.random.default_rng(0)
@@ -66,12 +66,6 @@ def test_the_covariance_of_a_pose_after_a_motion_has_world_axes():
         turned = Odometry(start, move_covariance((0.0, 0.0, -start.theta), cov)).then(motion)
         to_world = Pose(theta=turned.motion.theta).adjoint()
         assert np.allclose(propagated(start, cov, motion), to_world @ turned.cov @ to_world.T)
-
-
-def test_a_standstill_before_or_after_a_motion_leaves_it_as_it_is():
-    motion = Odometry(Pose(0.3, -0.1, 0.2), covariance())
-    for same in (motion.then(STANDSTILL), STANDSTILL.then(motion)):
-        assert same.motion == motion.motion and np.array_equal(same.cov, motion.cov)
 
 
 def test_a_root_is_accurate_where_one_direction_is_known_and_another_is_not():

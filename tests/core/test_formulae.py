@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.config import AssumedConfig, LaserConfig, MotionNoise, preset
+from sixthsense.config import LaserConfig
 from sixthsense.core.covariance import covariance_fault
 from sixthsense.core.geometry import Pose, interpolated, rotation, wrap_angle
 from sixthsense.core.landmark_kernels import line_ends
@@ -17,10 +17,9 @@ from sixthsense.core.landmarks import (
     polar_observation,
 )
 from sixthsense.core.laser import Scan, sweep_ns, sweep_times
-from sixthsense.core.motion import Odometry, Slip, odometry
+from sixthsense.core.motion import Odometry
 from sixthsense.core.ray_casting import cast_rays, cast_sweep, near_walls
-from sixthsense.core.sensor import Sensor, sensor_prior
-from sixthsense.core.wheels import wheel_prior
+from sixthsense.core.sensor import Sensor
 
 
 def test_a_polar_observation_is_the_point_that_explains_it_on_average():
@@ -52,36 +51,6 @@ def test_the_centre_and_the_ends_of_a_wall_lie_on_it():
     assert observed_centre(wall) == pytest.approx(foot + lever * along)
     assert line_point(wall.z, 1.3) == pytest.approx(foot + 1.3 * along)
     assert line_ends(wall.z, -0.6, 1.9) == pytest.approx(np.array([foot - 0.6 * along, foot + 1.9 * along]))
-
-
-def test_priors_have_the_variances_that_are_configured():
-    assumed = preset(assumed={"wheel_scale_error": 0.04}).assumed
-    wheels = wheel_prior(assumed).cov
-    # The forward scale, and the same error of the turn beside one of its own by the track.
-    expected = np.diag([0.0025, 0.0029, 0.0009])
-    expected[0, 1] = expected[1, 0] = 0.0025
-    assert wheels == pytest.approx(expected)
-    assert wheel_prior(assumed).with_sigmas() == pytest.approx(
-        np.array([[0.04, 0.04, 0.0], np.sqrt(np.diag(expected))])
-    )
-    assert sensor_prior().with_sigmas().tolist() == [[0.0] * 2, pytest.approx([0.03, 0.03])]
-
-
-@pytest.mark.parametrize("distribution, divisor", [("gaussian", 1.0), ("uniform", 3.0)])
-def test_the_noise_of_odometry_is_that_of_a_straight_drive_by_hand(distribution, divisor):
-    noise = MotionNoise(speed=0.06, turn_rate=0.2, distribution=distribution, slip_position_per_sqrt_m=0.02,
-                        slip_position_per_sqrt_rad=0.03, slip_heading_per_sqrt_m=0.04,
-                        slip_heading_per_sqrt_rad=0.05)  # fmt: skip
-    assert Slip.of(noise) == pytest.approx((0.0004, 0.0009, 0.0016, 0.0025))
-    assumed = AssumedConfig(motion=noise, floor_m=0.01, floor_rad=0.007)
-    straight = odometry(Pose(2.0, 3.0, 0.4), Pose(2.0, 3.0, 0.4) @ Pose(0.6, 0.0, 0.0), assumed).cov
-    floors = 0.6 / 0.25  # keyframes that far apart
-    along, across = 0.0004 * 0.6 + 0.0001 * floors + 0.036**2 / divisor, 0.0004 * 0.6 + 0.0001 * floors
-    expected = np.diag([along, across, 0.0016 * 0.6 + 4.9e-5 * floors])
-    assert straight == pytest.approx(expected, abs=1e-12)
-    spot = odometry(Pose(2.0, 3.0, 0.4), Pose(2.0, 3.0, 0.1), assumed).cov  # by -0.3 rad: two floors
-    across, heading = 0.0009 * 0.3 + 0.0002, 0.0025 * 0.3 + 9.8e-5 + 0.06**2 / divisor
-    assert spot == pytest.approx(np.diag([across, across, heading]), abs=1e-12)
 
 
 def test_a_motion_is_carried_if_its_position_is_known_to_a_quarter_of_a_metre_only():

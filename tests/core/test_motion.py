@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from sixthsense.config import AssumedConfig, MotionNoise
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import (
-    STANDSTILL,
     Odometry,
     compose_jacobians,
     draw,
@@ -80,17 +79,6 @@ def test_every_moving_increment_has_full_rank_even_without_slip(motion):
     assert np.linalg.eigvalsh(increment.cov)[0] > 0.0
 
 
-def test_the_floor_over_a_distance_does_not_depend_on_the_number_of_ticks():
-    assumed, whole = AssumedConfig(motion=QUIET), Pose(0.25, 0, 0)
-    one = odometry(Pose(), whole, assumed)
-    many, at = STANDSTILL, Pose()
-    for k in range(1, 11):
-        after = Pose(0.025 * k, 0, 0)
-        many, at = many.then(odometry(at, after, assumed)), after
-    assert np.trace(many.cov[:1, :1]) == pytest.approx(one.cov[0, 0], rel=1e-6)
-    assert many.cov[2, 2] == pytest.approx(1e-8, rel=1e-6)
-
-
 def test_known_systematic_errors_are_corrected():
     assumed = AssumedConfig(wheel_scale_error=0.02, drift_rad_per_m=0.05)
     for v, w in ((0.5, 0.0), (0.5, 0.7), (0.0, 1.0), (-0.4, 0.2)):
@@ -110,27 +98,6 @@ def test_the_jacobian_by_the_wheels_agrees_with_finite_differences():
             ahead, behind = (corrected_with_terms(reported, Wheels.from_array(values + s))[0] for s in (step, -step))
             off = (motion.inverse() @ ahead).array() - (motion.inverse() @ behind).array()
             assert np.allclose(off / 2e-6, terms.jacobian[:, k], atol=1e-7)
-
-
-def test_a_drive_depends_on_the_wheels_as_its_parts_do():
-    def folded(values):
-        total, at = STANDSTILL, Pose()
-        for k in range(40):
-            after = at @ exact_arc(0.5 + 0.2 * math.sin(0.3 * k), 0.8 * math.cos(0.2 * k), 0.1)
-            total, at = total.then(odometry(at, after, AssumedConfig(), Wheels.from_array(values))), after
-        return total
-
-    values = np.array([0.02, -0.03, 0.01])
-    found = folded(values)
-    for k, step in enumerate(1e-5 * np.eye(PARAMETERS)):
-        back = found.motion.inverse()
-        slope = (back @ folded(values + step).motion).array() - (back @ folded(values - step).motion).array()
-        assert np.allclose(slope / 2e-5, found.wheels.jacobian[:, k], atol=1e-6)
-    other = found.with_wheels(Wheels.from_array(values + 1e-4))
-    assert np.allclose(other.motion.array(), folded(values + 1e-4).motion.array(), atol=3e-6)
-    assumed = AssumedConfig(wheel_scale_error=0.02, drift_rad_per_m=0.01)
-    assert odometry(Pose(), Pose(0.2, 0.1, 0.3), assumed).motion == odometry(
-        Pose(), Pose(0.2, 0.1, 0.3), AssumedConfig(), Wheels(0.02, 0.02, 0.01)).motion  # fmt: skip
 
 
 def test_composed_odometry_keeps_what_one_part_knows_of_the_wheels():

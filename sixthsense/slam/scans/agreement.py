@@ -18,7 +18,8 @@ from sixthsense.core.se2 import between, inverse, triple
 from sixthsense.slam.scans.alignment import NORMALS_AGREE, SCALE_M, SURFACE_M, Views
 from sixthsense.slam.scans.returns import Returns, bearings_at
 
-_LEAST_JUDGED = 15.0  # returns; fewer are no evidence
+LEAST_RETURNS = 20
+"""fewer are no evidence"""
 
 
 class Agreement(NamedTuple):
@@ -37,7 +38,7 @@ class Agreement(NamedTuple):
 @numba.njit(cache=True, error_model="numpy")
 def contradicted(hits: float, through: float) -> float:
     """Share of the returns that are seen through, of those that are judged; 0 where these are too few."""
-    return through / (hits + through) if hits + through >= _LEAST_JUDGED else 0.0
+    return through / (hits + through) if hits + through >= LEAST_RETURNS else 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -10,7 +10,6 @@ from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.thinning import is_crowded
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
-_LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
 
 
 class Closings:
@@ -36,9 +35,9 @@ class Closings:
         """Close a loop with the links of a place; whether it stays closed.
 
         A loop closure that contradicts the graph, in the median of its links, is taken back, with all links that
-        followed from it. So is the newest one if it breaks more links of others than it has.
+        followed from it.
         """
-        number, broken = self.accepted, self._broken(self.accepted)
+        number = self.accepted
         self.accepted += 1
         self._standing.append(number)
         self._graph.give(found, np.ones(len(found.targets), dtype=np.bool_), number, closes=True)
@@ -47,8 +46,6 @@ class Closings:
             if max(squares) <= _CONTRADICTION:
                 break
             self._undo(self._standing[int(np.argmax(squares))])
-        if number in self._standing and self._broken(number) - broken > len(found.targets):
-            self._undo(number)
         return number in self._standing
 
     def _contradictions(self) -> list[float]:
@@ -58,12 +55,6 @@ class Closings:
         squares = self._graph.squares(own)
         of_each = (squares[own["closure"] == number] for number in self._standing)
         return [float(np.median(each)) if len(each) else 0.0 for each in of_each]
-
-    def _broken(self, newest: int) -> int:
-        """How many links to old keyframes, but for those of the newest loop closure, contradict the estimate."""
-        links = self._graph.links
-        others = links[links["is_old"] & (links["closure"] != newest)]
-        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
 
     def _undo(self, number: int) -> None:
         self._standing.remove(number)
@@ -96,12 +87,12 @@ class Thinning:
                 self._graph.take_out(leaving)
 
     def _is_spare(self, k: int, old_links: NDArray[np.int64]) -> bool:
-        """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough.
+        """Whether a keyframe and those that are linked to it have two links to old ones, and enough of these are near.
 
         `old_links` (K,) are the numbers of links of keyframes to old ones.
         """
         graph = self._graph
-        if old_links[k : k + LINKS + 1].min() < _LEAST_OLD_LINKS:
+        if old_links[k : k + LINKS + 1].min() < 2:
             return False
         kept = graph.is_kept
         kept[self._spare] = False

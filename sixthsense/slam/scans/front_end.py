@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import KEEP_POSES
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, propagated
 from sixthsense.core.se2 import (
@@ -30,15 +29,14 @@ from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
-from sixthsense.slam.scans.graph import REACH_M, REACH_RAD, ScanGraph
+from sixthsense.slam.scans.graph import LINKS, REACH_M, ScanGraph
 from sixthsense.slam.scans.known_places import of_last_metres
 from sixthsense.slam.scans.links import private_covariance, reported
 from sixthsense.slam.scans.loop_closures import LoopClosures
 from sixthsense.slam.scans.place_search import place_search_of
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import (
-    SLIP_M,
-    SLIP_RAD,
+    SLIP,
     SLIP_SIGMAS,
     Expected,
     LastScan,
@@ -51,9 +49,6 @@ from sixthsense.slam.scans.tracking import (
 )
 
 _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
-_BEFORE = 5  # keyframes before it among which they are
-_DOUBT = 0.5  # share of the distance of scans from wheels that is doubted where they contradict each other
-_REFERENCES = 3  # keyframes that a scan is aligned with in the final pass
 
 
 class ScanFrontEnd:
@@ -133,7 +128,7 @@ class ScanFrontEnd:
             self._estimator.update({})
             key = self._kept(known, tracked)
         with self._clock("link"):
-            self._graph.link(key, self._graph.near_linked(key), self.loop_closures.closings.latest)
+            self._graph.link(key, self._graph.near_linked(key), self.loop_closures.closings.latest, is_new=True)
         if self._config.scans.loop_closures:
             with self._clock("loop_closure"):
                 self.loop_closures.look(key)
@@ -184,7 +179,7 @@ class ScanFrontEnd:
         known = expected(graph.poses[-1], self._last, self._mount, since, cov, self._noise.factors)
         if self._is_carried:
             return known, None
-        latest = range(max(graph.first, row - _BEFORE), row)
+        latest = range(max(graph.first, row - LINKS), row)
         # One that fitted nothing may have been seen from elsewhere than the wheels say: the next ones look past it.
         recent = ([key for key in latest if key not in self._lost] or list(latest))[-_RECENT:]
         targets = np.array([*recent, *graph.linked_old(recent[-1], recent[-1])[:_OLD]])
@@ -219,7 +214,7 @@ class ScanFrontEnd:
         if self._is_carried or not self._store.count:
             return self._since
         if tracked is not None and tracked.has_slipped:
-            return Odometry(moved, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
+            return Odometry(moved, self._since.cov + SLIP**2 * np.eye(3))
         motion = self._for_estimator()
         # Scans contradict it by this squared Mahalanobis distance.
         square = 0.0 if tracked is None else tracked.square
@@ -246,7 +241,8 @@ class ScanFrontEnd:
         if known is not None:
             cov = inverse_covariance(known.prior.information) if tracked is None else tracked.cov
             if tracked is not None and tracked.has_slipped:
-                cov = cov + _DOUBT**2 * np.outer(tracked.off, tracked.off)
+                half = 0.5 * tracked.off  # of the distance of the scans from the wheels is doubted
+                cov = cov + np.outer(half, half)
             self.loop_closures.moved(cov, is_carried)
         return key
 
@@ -283,16 +279,12 @@ def refined(graph: ScanGraph, scans: list[TrackedScan], mount: Triple) -> Array:
     """
     store, poses, to_laser, back = graph.store, graph.poses, np.array(mount), np.array(inverse(mount))
     motions = np.array([each.motion.array() for each in scans]).reshape(-1, 3)
-    tree = cKDTree(poses[:, :2])
     for k, each in enumerate(scans):
         if each.scan is None:
             continue
         at = compose(poses[each.key], compose(compose(back, motions[k]), to_laser))
-        near = np.array(tree.query_ball_point(at[:2], REACH_M, return_sorted=True), dtype=np.int64)
-        near = near[np.abs(wrap_angle(poses[near, 2] - at[2])) < REACH_RAD]
-        if len(near) < 2:
-            continue
-        references = near[np.argsort(np.abs(near - each.key), kind="stable")[:_REFERENCES]]
+        references = np.arange(max(each.key - 1, 0), min(each.key + 2, len(poses)))
+        references = references[np.hypot(*(poses[references] - at)[:, :2].T) < REACH_M]
         by_wheels = with_wheel_errors(each.odometry)
         cov = move_covariance((0.0, 0.0, float(at[2])), move_covariance(inverse(mount), by_wheels.cov))
         prior = Prior(at, inverse_covariance(cov), SLIP_SIGMAS)

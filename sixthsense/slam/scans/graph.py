@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.se2 import between, compose, conjugate, move_covariance, triple
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
-from sixthsense.slam.scans.links import NEAR_GATE_M, WIDE_GATE_M, Alignments, align_with, covariances
+from sixthsense.slam.scans.links import NEAR_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import Usual
 
@@ -27,9 +27,8 @@ LINKS = 4
 """links of a keyframe to those before it, and to old ones at most"""
 OLD_AGE = 25
 """keyframes; nearer ones are of the same pass"""
-_AROUND = 8  # keyframes before the newest whose old partners are followed, and to either side of each partner
-REACH_M, REACH_RAD = 4.0, 2.0
-"""between scans whose views overlap"""
+REACH_M = 4.0
+"""between the middles of what two scans see whose views overlap, and between poses from which they see much the same"""
 M_PER_RAD = 0.5
 """a turn as a distance"""
 PERIOD = 10
@@ -41,34 +40,40 @@ _WEIGHTED = 0.777  # mean of a chi-square of 3 degrees of freedom by the weights
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
 
-KEYFRAME = np.dtype(
-    [
-        ("pose", np.float64, 3),  # T_world_laser
-        (
-            "step",
-            np.float64,
-            2,
-        ),  # variances of position and heading of the motion from the keyframe before, m^2 and rad^2
-        ("travelled_m", np.float64),
-        ("is_out", np.bool_),  # of the estimator's graph
-    ]
-)
+# `pose` is T_world_laser, `step` the variances of position and heading of the motion from the keyframe before, m^2 and
+# rad^2, and `is_out` whether it has left the estimator's graph.
+KEYFRAME = np.dtype([("pose", float, 3), ("step", float, 2), ("travelled_m", float), ("is_out", bool)])
+# `id` is the estimator's, `ends` are target and source, `pose` is of the source's laser in the frame of the target's,
+# `cov` of its error as the estimator was given it, axes of the target's laser, and `weight` what its squared residual
+# counts beside one with the covariance by its returns alone. `is_old` is whether the target is of another pass,
+# `closure` the number of the loop closure that it follows from, -1 for none, `closes` whether it is one of the links
+# that closed that loop, and `stands` whether the estimator has it still.
 LINK = np.dtype(
     [
-        ("id", np.int64),  # of the estimator
-        ("ends", np.int64, 2),  # target and source
-        ("pose", np.float64, 3),  # of the source's laser in the frame of the target's
-        ("cov", np.float64, (3, 3)),  # of its error as the estimator was given it, axes of the target's laser
-        (
-            "weight",
-            np.float64,
-        ),  # that its squared residual was given, beside one with the covariance by its returns alone
-        ("is_old", np.bool_),  # whether the target is of another pass
-        ("closure", np.int64),  # number of the loop closure that it follows from; -1 for none
-        ("closes", np.bool_),  # whether it is one of the links that closed that loop
-        ("stands", np.bool_),  # whether the estimator has it still
+        *(("id", np.int64), ("ends", np.int64, 2), ("pose", float, 3), ("cov", float, (3, 3)), ("weight", float)),
+        *(("is_old", bool), ("closure", np.int64), ("closes", bool), ("stands", bool)),
     ]
 )
+
+
+class PlacedScans(Protocol):
+    """Scans with their poses."""
+
+    @property
+    def store(self) -> ScanStore:
+        """The scans, a row each."""
+
+    @property
+    def poses(self) -> Array:
+        """(K, 3) of their lasers."""
+
+    @property
+    def travelled_m(self) -> Array:
+        """(K,) way to each."""
+
+    @property
+    def usual_agreement(self) -> float:
+        """Share of the returns, of those that are judged, that scans of one place usually agree in."""
 
 
 class ScanGraph:
@@ -138,23 +143,16 @@ class ScanGraph:
         self.poses[:] = compose(self.estimator.trajectory(), self._mount)
         self._refreshed, self._factor = self.count, self._fitted_factor()
 
-    def link(self, key: int, old: Keys, closure: int) -> None:
-        """Link a keyframe to those before it, since the robot was last carried, and to old ones near it.
+    def link(self, key: int, old: Keys, closure: int, is_new: bool = False) -> None:
+        """Link a keyframe to old ones near it, and if it `is_new` to those before it since the robot was last carried.
 
         Poses relative to it are known to some decimetres. All at once: each time costs the estimator a solution.
         """
-        recent = np.arange(max(self.first, key - LINKS), key)
+        recent = np.arange(max(self.first, key - LINKS), key if is_new else 0)
         targets, is_old = np.concatenate([recent, old]), np.arange(len(recent) + len(old)) >= len(recent)
-        self._link(key, targets, is_old, closure)
-
-    def link_old(self, key: int, old: Keys, closure: int) -> None:
-        """Link a keyframe to old ones near it."""
-        if len(old):
-            self._link(key, old, np.ones(len(old), dtype=np.bool_), closure)
-
-    def _link(self, key: int, targets: Keys, is_old: NDArray[np.bool_], closure: int) -> None:
-        found = align_with(self.store.returns, targets, key, self.poses, NEAR_GATE_M)
-        good = found.agree(self.usual_agreement) & (~is_old | (found.moved_m < WIDE_GATE_M))
+        starts = between(self.poses[targets], self.poses[key]).reshape(-1, 3)
+        found = align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, NEAR_GATE_M)
+        good = found.agree(self.usual_agreement)
         self.give(found.rows(good), is_old[good], closure)
 
     def give(self, found: Alignments, is_old: NDArray[np.bool_], closure: int, closes: bool = False) -> None:
@@ -244,7 +242,7 @@ class ScanGraph:
         if self.first or not len(links):
             return 1.0
         squares = self.squares(links) / links["weight"]
-        redundancy = 3.0 * (len(links) - len(np.unique(links["ends"][:, 1])))
+        redundancy = 3 * (len(links) - len(np.unique(links["ends"][:, 1])))
         # Weighted as in the graph: a few wrong links are no evidence of the others. Of right ones so much is left.
         squares /= _WEIGHTED * (1.0 + squares / (LOSS**2 * self._factor))
         return float((squares.sum() + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR))
@@ -274,18 +272,11 @@ class ScanGraph:
 
     def near_linked(self, key: int) -> Keys:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
-        old = self.linked_old(key - _AROUND, key - 1)
-        around = np.unique(old[:, None] + np.arange(-_AROUND, _AROUND + 1))
+        reach = 2 * LINKS
+        old = self.linked_old(key - reach, key - 1)
+        around = np.unique(old[:, None] + np.arange(-reach, reach + 1))
         around = around[(around >= 0) & (around < key - OLD_AGE)]
-        return self.nearest(key, around[self.is_kept[around]])
-
-    def nearest(self, key: int, candidates: Keys) -> Keys:
-        """Those of the candidates whose views overlap that of a keyframe most, by their poses."""
-        off = between(self.poses[key], self.poses[candidates]).reshape(-1, 3)
-        distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
-        near = np.flatnonzero((distance < REACH_M) & (turn < REACH_RAD))
-        order = np.argsort(distance[near] + M_PER_RAD * turn[near], kind="stable")
-        return candidates[near[order][:LINKS]]
+        return overlapping(self, key, self.poses[key], around[self.is_kept[around]])[:LINKS]
 
     def sigmas(self, key: int) -> tuple[Array, Array]:
         """(K,) sigmas of position, m, and heading, rad, of keyframe `key` relative to each, along the best ways there.
@@ -306,6 +297,19 @@ class ScanGraph:
         ways = (dijkstra(coo_array((cost, ends.T), shape).tocsr(), directed=False, indices=[key]) for cost in costs)
         position, heading = (np.sqrt(way[0]) for way in ways)
         return position, heading
+
+
+def overlapping(scans: PlacedScans, key: int, pose: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Candidates whose views overlap that of scan `key` if it is at `pose` (3,), the most first.
+
+    What counts is the distance between the centres of what the scans see: a laser that looks forward sees from either
+    end of a corridor what is between. The pose and those of the scans are of one frame.
+    """
+    poses, centres = scans.poses[candidates], scans.store.centres
+    off = compose(poses, centres[candidates]).reshape(-1, 3)[:, :2] - compose(pose, centres[key])[:2]
+    distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap_angle(poses[:, 2] - pose[2]))
+    order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
+    return np.asarray(candidates[order[distance[order] < REACH_M]], dtype=np.int64)
 
 
 def _independent(links: Keys) -> Array:

@@ -7,55 +7,33 @@ them is closed.
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.se2 import between, compose
-from sixthsense.slam.scans.graph import M_PER_RAD, REACH_M
+from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import between
+from sixthsense.slam.scans.graph import REACH_M, PlacedScans
 from sixthsense.slam.scans.places import (
     BINS,
     NEAR_M,
-    VOXEL_M,
     Pyramid,
     appearance,
     pyramid,
     surfaces,
 )
-from sixthsense.slam.scans.returns import ScanStore
 
 RECENT_M = 6.0
 """travel of the submap that is searched for"""
-_RECENT_VOXEL_M = 0.2  # of these points, and of what places look like; those of old submaps are denser
 LEAST_POINTS = 60
 """with fewer points of the last metres what is far away counts, too; with fewer even so there is no search"""
-_APART_M, HALF_M = 3.0, 5.0
-"""between the anchors of places, and around each of them to either side"""
+HALF_M = 5.0
+"""of a place to either side of its anchor"""
 BACK_M = 12.0
 """travel over which scans are followed back and votes count"""
 _MOST_SUBMAPS = 32  # that are kept
-
-
-class PlacedScans(Protocol):
-    """Scans with their poses."""
-
-    @property
-    def store(self) -> ScanStore:
-        """The scans, a row each."""
-
-    @property
-    def poses(self) -> Array:
-        """(K, 3) of their lasers."""
-
-    @property
-    def travelled_m(self) -> Array:
-        """(K,) way to each."""
-
-    @property
-    def usual_agreement(self) -> float:
-        """Share of the returns, of those that are judged, that scans of one place usually agree in."""
+CARRIED_M = 100.0
+"""of travel where the robot was carried, and from one run to another: neither submap nor vote spans that"""
 
 
 class KnownPlaces:
@@ -115,7 +93,7 @@ class KnownPlaces:
             if len(self._submaps) == _MOST_SUBMAPS:
                 self.forget()
             keys, at = self._around(which[0], HALF_M + RECENT_M)
-            found = surfaces(self._scans.store.returns, keys, at, VOXEL_M, range_m)
+            found = surfaces(self._scans.store.returns, keys, at, range_m)
             self._submaps[which] = pyramid(np.ascontiguousarray(found[:, :2]))
         return self._submaps[which]
 
@@ -130,7 +108,7 @@ class KnownPlaces:
         travelled_m = self._scans.travelled_m[: self._past]
         end_m = float(self._scans.travelled_m[min(self._past, len(self._scans.travelled_m) - 1)])
         while len(travelled_m):
-            next_m = float(self._scans.travelled_m[self._anchors[-1]]) + _APART_M if self._anchors else 0.0
+            next_m = float(self._scans.travelled_m[self._anchors[-1]]) + REACH_M if self._anchors else 0.0
             anchor = int(np.searchsorted(travelled_m, next_m))
             if anchor == len(travelled_m) or travelled_m[anchor] + HALF_M >= end_m:
                 return
@@ -148,20 +126,7 @@ def surfaces_around(scans: PlacedScans, keys: NDArray[np.int64], at: Array) -> t
 
     Where there is too little nearby, all that is seen counts.
     """
-    near = surfaces(scans.store.returns, keys, at, _RECENT_VOXEL_M)
+    near = surfaces(scans.store.returns, keys, at)
     if len(near) >= LEAST_POINTS:
         return near, NEAR_M
-    return surfaces(scans.store.returns, keys, at, _RECENT_VOXEL_M, math.inf), math.inf
-
-
-def overlapping(scans: PlacedScans, key: int, pose: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Candidates whose views overlap that of scan `key` if it is at `pose` (3,), the most first.
-
-    What counts is the distance between the centres of what the scans see: a laser that looks forward sees from either
-    end of a corridor what is between. The pose and those of the scans are of one frame.
-    """
-    poses, centres = scans.poses[candidates], scans.store.centres
-    off = compose(poses, centres[candidates]).reshape(-1, 3)[:, :2] - compose(pose, centres[key])[:2]
-    distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap_angle(poses[:, 2] - pose[2]))
-    order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
-    return np.asarray(candidates[order[distance[order] < REACH_M]], dtype=np.int64)
+    return surfaces(scans.store.returns, keys, at, math.inf), math.inf

@@ -18,15 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import between, inverse, move_covariance, triple
-from sixthsense.slam.scans.agreement import agreement
+from sixthsense.core.se2 import inverse, move_covariance, triple
+from sixthsense.slam.scans.agreement import LEAST_RETURNS, agreement
 from sixthsense.slam.scans.alignment import SIGMA_M, Prior, Sums, Views, align, no_sums
 from sixthsense.slam.scans.returns import Returns
 
 NEAR_GATE_M, WIDE_GATE_M = 0.25, 0.5
 """first gates of pairs whose relative pose is known to two decimetres, and to half a metre"""
-LEAST_PAIRS = 20
-"""partners, both ways, of scans of one place"""
 AGREEMENT, SEEN_SHARE = 0.75, 0.3
 """least shares of hits, among hits and returns that are seen through, and among all, of the usual one"""
 FEW_RETURNS = 3.0
@@ -47,8 +45,6 @@ class Alignments(NamedTuple):
     """(m, 3) weights, partners and weighted squares of both ways"""
     seen: Array
     """(m, 2, 4) `Agreement` of the source seen by the target, and the other way round"""
-    moved_m: Array
-    """(m,) how far each pose is from where its alignment began"""
 
     def agree(self, usual: float, least_seen: float = SEEN_SHARE) -> NDArray[np.bool_]:
         """(m,) whether both scans show one place: enough partners, and few returns where the other saw through.
@@ -58,7 +54,7 @@ class Alignments(NamedTuple):
         """
         hits, through, count = self.seen[:, :, 1], self.seen[:, :, 2], self.seen[:, :, 3]
         is_shared = (hits >= usual * least_seen * count) & (hits >= usual * AGREEMENT * (hits + through))
-        return np.asarray((self.totals[:, 1] >= LEAST_PAIRS) & is_shared.all(axis=1))
+        return np.asarray((self.totals[:, 1] >= LEAST_RETURNS) & is_shared.all(axis=1))
 
     def rows(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> Alignments:
         """Some of them."""
@@ -82,18 +78,13 @@ def covariances(hessians: Array, sigma_m: float) -> Array:
     return np.asarray((axes * variances[:, None, :]) @ axes.transpose(0, 2, 1))
 
 
-def align_with(returns: Returns, targets: NDArray[np.int64], key: int, poses: Array, gate_m: float) -> Alignments:
-    """Align a scan with others from where their `poses` (K, 3) say."""
-    return align_pairs(returns, targets, np.full(len(targets), key), between(poses[targets], poses[key]), gate_m)
-
-
 @numba.njit(cache=True, error_model="numpy")
 def align_pairs(
     returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gate_m: float
 ) -> Alignments:
     """Align pairs of scans from the relative poses `starts` (m, 3), and compare what they saw."""
     m = len(targets)
-    poses, seen, moved_m, sums = starts.copy(), np.zeros((m, 2, 4)), np.empty(m), no_sums(m)
+    poses, seen, sums = starts.copy(), np.zeros((m, 2, 4)), no_sums(m)
     anchor, origin = np.eye(3) / SIGMA_M**2, np.zeros((1, 3))  # of one return: it holds what the scans do not observe
     for k in range(m):
         target, source, pose = targets[k], sources[k], poses[k]
@@ -112,8 +103,7 @@ def align_pairs(
         )
         for i in range(4):
             seen[k, 0, i], seen[k, 1, i] = there[i], back[i]
-        moved_m[k] = math.hypot(pose[0] - starts[k, 0], pose[1] - starts[k, 1])
-    return Alignments(targets, sources, poses, sums.hessian - sums.feigned, sums.totals, seen, moved_m)
+    return Alignments(targets, sources, poses, sums.hessian - sums.feigned, sums.totals, seen)
 
 
 def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:

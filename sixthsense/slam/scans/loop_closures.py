@@ -18,15 +18,14 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closings import Closings, Thinning
-from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, REACH_M, ScanGraph
-from sixthsense.slam.scans.known_places import BACK_M, KnownPlaces
+from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, OLD_AGE, REACH_M, ScanGraph, overlapping
+from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import NEW_M, ExpectedPoses, PlaceQuery, PlaceSearch, Votes, best_place
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
-_APART_M = 100.0  # of travel where the robot was carried: neither submap nor vote spans that
 
 
 class LoopClosures:
@@ -53,7 +52,7 @@ class LoopClosures:
         """Record the motion to the newest keyframe; `cov` (3, 3) is of its error, by scans and odometry."""
         position, heading = float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2])
         if is_carried:
-            self._graph.moved(_APART_M, position, heading)
+            self._graph.moved(CARRIED_M, position, heading)
             return
         step = between(*self._graph.poses[-2:])
         travel_m = math.hypot(step[0], step[1]) + M_PER_RAD * abs(step[2])
@@ -75,8 +74,8 @@ class LoopClosures:
             return
         sigma_m, sigma_rad = graph.sigmas(key)
         is_certain = (sigma_m[old] < _CERTAIN_M) & (sigma_rad[old] < _CERTAIN_RAD)
-        certain = graph.nearest(key, old[is_certain])
-        graph.link_old(key, np.setdiff1d(certain, graph.linked_old(key, key)), self.closings.latest)
+        certain = overlapping(graph, key, graph.poses[key], old[is_certain])[:LINKS]
+        graph.link(key, np.setdiff1d(certain, graph.linked_old(key, key)), self.closings.latest)
         if graph.travelled_m[key] >= self._search_from_m:
             self._search_uncertain(key, old[~is_certain], sigma_m, sigma_rad)
 

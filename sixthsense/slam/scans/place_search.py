@@ -21,27 +21,24 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.config.parts import PLACE_SEARCHES
-from sixthsense.config.section import shown
 from sixthsense.config.tree import check_returned, part_of
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose, inverse, triple
-from sixthsense.slam.scans.agreement import agreement
-from sixthsense.slam.scans.graph import REACH_M
+from sixthsense.slam.scans.agreement import LEAST_RETURNS, agreement
+from sixthsense.slam.scans.alignment import SURFACE_M
+from sixthsense.slam.scans.graph import REACH_M, PlacedScans, overlapping
 from sixthsense.slam.scans.known_places import (
     BACK_M,
     HALF_M,
     LEAST_POINTS,
     KnownPlaces,
-    PlacedScans,
     of_last_metres,
-    overlapping,
     surfaces_around,
 )
-from sixthsense.slam.scans.links import LEAST_PAIRS, SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
-from sixthsense.slam.scans.places import PLACE, Apart, Pyramid, Window, appearance, peaks
+from sixthsense.slam.scans.links import SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
+from sixthsense.slam.scans.places import MOST_POINTS, PLACE, Apart, Pyramid, Window, appearance, peaks
 from sixthsense.slam.scans.tracking import FREEDOM
 
-_MOST_POINTS = 200  # of the last metres that are searched for
 _CANDIDATES = 8  # submaps that are searched
 SIGMAS = 2.0  # of a pose within a submap
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
@@ -50,11 +47,8 @@ _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
 _PARTNERS = 2  # known scans that each is compared with
 _EVERY_M = 1.0  # travel between two scans that are followed back
-_SHIFT_M, _SHIFT_M_PER_M, _SHIFT_RAD = 0.05, 0.08, 0.1  # an alignment may shift a scan beyond the one before
-_LEAST_SCANS = 3  # that are evidence about two places which are compared, where there are as many
+_LEAST_SCANS = 3  # that are evidence about two places which are compared, and links of a vote, where there are as many
 _CLEARLY = 0.32  # scans' worth of points that a place must explain beyond another one
-_SCANS_BEYOND = 6  # or this many scans more that are evidence about it
-_LEAST_LINKS = 3  # of a vote
 
 NEW_M = 1.5
 """travel that shows something new: between two votes that count both, and two searches of alike places"""
@@ -143,19 +137,6 @@ def place_search_of(config: Config) -> PlaceSearch:
     return found
 
 
-def candidates_fault(found: object) -> str:
-    """What is wrong with the candidates of a place search; "" if nothing."""
-    if not isinstance(found, Sequence) or not all(isinstance(one, Candidate) for one in found):
-        return f"found {type(found).__name__} {shown(found)}, allowed: a list of Candidate"
-    for one in found:
-        if np.shape(one.pose) != (3,) or not np.isfinite(one.pose).all():
-            return f"found a pose {np.asarray(one.pose).tolist()}, allowed: (3,) finite numbers"
-        if not 0.0 <= one.score <= 1.0:
-            return f"found a score of {one.score}, allowed: 0 to 1"
-    scores = [one.score for one in found]
-    return f"found scores {scores}, allowed: the best first" if scores != sorted(scores, reverse=True) else ""
-
-
 def proposed(query: PlaceQuery, least_points: int = LEAST_POINTS) -> list[Candidate]:
     """Different places where what was seen on the last metres up to the newest scan may be, the best score first."""
     scans, key, places, expected, min_score = query
@@ -163,7 +144,7 @@ def proposed(query: PlaceQuery, least_points: int = LEAST_POINTS) -> list[Candid
     near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
     if len(near) < least_points:
         return []
-    rows = np.linspace(0, len(near) - 1, min(len(near), _MOST_POINTS)).astype(np.int64)
+    rows = np.linspace(0, len(near) - 1, min(len(near), MOST_POINTS)).astype(np.int64)
     points, looks = np.ascontiguousarray(near[rows, :2]), list[tuple[int, Pyramid, Window]]()
     for place in likeliest(places, expected, appearance(near)):
         window = expected.window(place)
@@ -191,7 +172,7 @@ def likeliest(places: KnownPlaces, expected: ExpectedPoses, look: Array) -> list
         return []
     alike = places.looks @ look
     square = (expected.poses[:, :2] ** 2).sum(axis=1) / (expected.sigma_m**2 + REACH_M**2)
-    score = (alike - alike.mean()) / max(float(alike.std()), 1e-3)
+    score = (alike - alike.mean()) / (float(alike.std()) or 1.0)
     score -= 0.5 * (FREEDOM + 2.0) * np.log1p(square / FREEDOM)
     chosen: list[int] = []
     for place in np.argsort(-score, kind="stable").tolist():
@@ -238,9 +219,7 @@ class Evidence(NamedTuple):
         """Whether this place explains clearly more than another one, on the same scans."""
         off = self.shares - other.shares
         both, least = np.isfinite(off), min(_LEAST_SCANS, len(off))
-        if both.sum() >= least:
-            return float(off[both].sum()) >= _CLEARLY * least / _LEAST_SCANS
-        return int(np.isfinite(self.shares).sum()) - int(np.isfinite(other.shares).sum()) >= _SCANS_BEYOND
+        return bool(both.sum() >= least and off[both].sum() >= _CLEARLY * least / _LEAST_SCANS)
 
 
 class Hypothesis(NamedTuple):
@@ -292,7 +271,7 @@ def evidence_of(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequenc
     open_places, known = np.arange(len(at)), [each.known[each.known < keys[-1]] for each in candidates]
     for n, key in enumerate(keys.tolist()):
         moved = between(poses[before], poses[key])
-        most_m = WIDE_GATE_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
+        most_m = WIDE_GATE_M if n == 0 else SURFACE_M  # an alignment may shift a scan beyond the one before
         for k in open_places.tolist():
             placed = compose(at[k], moved)
             shares[k, n], at[k], found = _compared(scans, key, placed, known[k], most_m)
@@ -316,8 +295,7 @@ def _compared(
     off = between(poses[targets], at).reshape(-1, 3)
     found = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
     shift = between(off, found.poses).reshape(-1, 3)
-    is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
-    is_near &= found.totals[:, 1] >= LEAST_PAIRS
+    is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (found.totals[:, 1] >= LEAST_RETURNS)
     seen = found.seen.sum(axis=1)
     for k in np.flatnonzero(~is_near).tolist():
         pair, target = triple(off[k]), int(targets[k])
@@ -356,7 +334,7 @@ class Votes:
         """
         links = Alignments.joined(found.links)
         compared = len(found.shares)  # after the start there are few scans to follow back
-        if len(links.targets) < min(_LEAST_LINKS, compared) or len(np.unique(links.sources)) < min(2, compared):
+        if len(links.targets) < min(_LEAST_SCANS, compared) or len(np.unique(links.sources)) < min(2, compared):
             return []
         vote = Vote(key, found.pose, float(self._scans.travelled_m[key]), links)
         self._votes = [*(each for each in self._votes if vote.travelled_m - each.travelled_m < BACK_M), vote]

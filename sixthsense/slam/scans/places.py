@@ -26,13 +26,14 @@ from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.returns import Returns
 
 CELL_M = 0.1
-VOXEL_M = 0.05  # of the points that a submap is made of
+"""of a submap, of which one point is kept"""
+MOST_POINTS = 200
+"""of a place that are searched for, and whose pairs are counted"""
 BLOCK = 4  # cells along the side of a block
-PEAK = 17  # of a cell with a point; sums of some thousand points fit into 16 bits
+PEAK = 2  # of a cell with a point; cells beside one have half of it, and sums fit into 16 bits
 NEAR_M = 12.0
 """farther returns are few, and their place depends on the heading"""
-_SIDE, _CORNER = 10, 6  # of the cells beside one with a point
-_MOST_ROWS = 1 << 32  # of voxels, which are numbered
+_MOST_ROWS = 1 << 32  # of cells, which are numbered
 
 
 class Pyramid(NamedTuple):
@@ -47,8 +48,8 @@ class Pyramid(NamedTuple):
     y0: float
 
 
-def surfaces(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float, range_m: float = NEAR_M) -> Array:
-    """(N, 4) points and normals of keyframes in the frame of their poses `at` (n, 3), the first one in each voxel.
+def surfaces(returns: Returns, keys: NDArray[np.int64], at: Array, range_m: float = NEAR_M) -> Array:
+    """(N, 4) points and normals of keyframes in the frame of their poses `at` (n, 3), the first one in each cell.
 
     Returns beyond `range_m` are left out; a point without a normal has (0, 0).
     """
@@ -57,7 +58,7 @@ def surfaces(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: floa
     c, s = np.cos(at[:, 2:]), np.sin(at[:, 2:])
     found = np.stack([at[:, :1] + c * x - s * y, at[:, 1:2] + s * x + c * y, c * nx - s * ny, s * nx + c * ny], axis=-1)
     found = found[(distance > 0.0) & (distance <= range_m)]
-    column, row = np.floor(found[:, :2] / voxel_m).astype(np.int64).T
+    column, row = np.floor(found[:, :2] / CELL_M).astype(np.int64).T
     _, first = np.unique(column * _MOST_ROWS + row, return_index=True)
     return np.asarray(found[np.sort(first)])
 
@@ -70,28 +71,18 @@ def pyramid(points: Array) -> Pyramid:
     low = points.min(axis=0) - CELL_M * (BLOCK + 1)
     cells = BLOCK * (((points.max(axis=0) + CELL_M - low) / CELL_M).astype(np.int64) // BLOCK + 2)
     values = np.zeros((cells[0], cells[1]), dtype=np.uint8)
-    _draw(points, float(low[0]), float(low[1]), values)
+    column, row = ((points - low) / CELL_M).astype(np.int64).T
+    values[column, row] = 1
+    values += maximum_filter(values, 3)
     pooled = maximum_filter(values, BLOCK, mode="constant", origin=-(BLOCK // 2))
     blocks = pooled.reshape(cells[0] // BLOCK, BLOCK, cells[1] // BLOCK, BLOCK).transpose(1, 3, 0, 2)
     return Pyramid(values, np.ascontiguousarray(blocks), float(low[0]), float(low[1]))
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _draw(points: Array, x0: float, y0: float, values: NDArray[np.uint8]) -> None:
-    """Draw points into `values` (columns, rows) with a blur of one cell."""
-    columns, rows = values.shape
-    for k in range(len(points)):
-        i, j = int((points[k, 0] - x0) / CELL_M), int((points[k, 1] - y0) / CELL_M)
-        for a in range(max(i - 1, 0), min(i + 2, columns)):
-            for b in range(max(j - 1, 0), min(j + 2, rows)):
-                value = PEAK if a == i and b == j else (_SIDE if a == i or b == j else _CORNER)
-                values[a, b] = max(values[a, b], value)
-
-
 STEP_RAD = 0.012
 """between two headings that are tried"""
-_MOST_POINTS = np.iinfo(np.uint16).max // PEAK
-"""whose values can be summed in two bytes"""
+_MOST_SUMMED = np.iinfo(np.uint16).max // PEAK
+"""points whose values can be summed in two bytes"""
 MOST_PEAKS = 64
 """places that are returned at most"""
 
@@ -120,10 +111,6 @@ class Apart(NamedTuple):
 
 
 PLACE = Apart(0.7, 0.2)
-"""of peaks: alignment leads to one pose from nearer ones"""
-
-
-PLACE = Apart(0.7, 0.2)
 """of two places: alignment leads to one pose from nearer ones"""
 
 
@@ -133,7 +120,7 @@ def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: 
     A score is the mean value of the points' cells, 0 to 1, and above `least`. A place is the best cell of a block. Of
     more points than can be summed every second one stands for all, or fewer.
     """
-    points = points[:: max(1, math.ceil(len(points) / _MOST_POINTS))]
+    points = points[:: max(1, math.ceil(len(points) / _MOST_SUMMED))]
     turns, cells = 2 * int(window.half_rad / STEP_RAD) + 1, int(window.half_m / CELL_M)
     turned = Turned(*_cells(pyramid, points, window, turns), cells)
     bounds = _bounds(pyramid.blocks, turned)
@@ -244,16 +231,14 @@ def _cells(pyramid: Pyramid, points: Array, window: Window, turns: int) -> tuple
     return columns, rows
 
 
-_BIN_M, _NEAR_BINS, _FAR_BINS = 0.75, 16, 8  # width of bins of distance up to 12 m; those beyond are twice as wide
-_ANGLES = 3  # bins of the angle between normals, and of both with the line between the points
-_ALIKE, _ACROSS = (0.5, 0.87), (0.5, 1.2)  # edges of these: of the cosine, and of the sum of two cosines
-_MOST_PAIRED = 250  # points whose pairs are counted
-BINS = (_NEAR_BINS + _FAR_BINS) * _ANGLES**2
+_BIN_M, _BINS = 0.75, 24  # of distance; the last one has all that is farther
+_ANGLES = 3  # bins of the cosine between normals, and of the sum of two cosines
+BINS = _BINS * _ANGLES**2
 
 
 def appearance(surfaces: Array) -> Array:
     """(BINS,) unit vector of points with normals (N, 4), x, y and the normal's; the product of two is 1 if alike."""
-    rows = np.linspace(0, len(surfaces) - 1, min(len(surfaces), _MOST_PAIRED)).astype(np.int64)
+    rows = np.linspace(0, len(surfaces) - 1, min(len(surfaces), MOST_POINTS)).astype(np.int64)
     counts = _pair_counts(np.ascontiguousarray(surfaces[rows]))
     return np.asarray(np.sqrt(counts / max(float(counts.sum()), 1.0)))
 
@@ -263,24 +248,14 @@ def _pair_counts(surfaces: Array) -> Array:
     """(BINS,) how many pairs of points there are of each kind; a point without a normal is in none."""
     counts = np.zeros(BINS)
     for i in range(len(surfaces)):
-        x, y, nx, ny = surfaces[i]
-        if nx == 0.0 and ny == 0.0:
-            continue
         for j in range(i):
-            mx, my = surfaces[j, 2], surfaces[j, 3]
-            if mx == 0.0 and my == 0.0:
+            (x, y, nx, ny), (u, v, mx, my) = surfaces[i], surfaces[j]
+            if (nx == 0.0 and ny == 0.0) or (mx == 0.0 and my == 0.0):
                 continue
-            dx, dy = surfaces[j, 0] - x, surfaces[j, 1] - y
-            distance = math.hypot(dx, dy)
-            along = (abs(nx * dx + ny * dy) + abs(mx * dx + my * dy)) / max(distance, 1e-9)
-            k = int(distance / _BIN_M)
-            if k >= _NEAR_BINS:
-                k = min(_NEAR_BINS + (k - _NEAR_BINS) // 2, _NEAR_BINS + _FAR_BINS - 1)
-            k = _ANGLES * k + _bin(abs(nx * mx + ny * my), _ALIKE)
-            counts[_ANGLES * k + _bin(along, _ACROSS)] += 1.0
+            dx, dy = u - x, v - y
+            distance = max(math.hypot(dx, dy), CELL_M)
+            along = (abs(nx * dx + ny * dy) + abs(mx * dx + my * dy)) / distance
+            k = min(int(distance / _BIN_M), _BINS - 1)
+            k = _ANGLES * k + min(int(_ANGLES * abs(nx * mx + ny * my)), _ANGLES - 1)
+            counts[_ANGLES * k + min(int(0.5 * _ANGLES * along), _ANGLES - 1)] += 1.0
     return counts
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _bin(value: float, edges: tuple[float, float]) -> int:
-    return int(value >= edges[0]) + int(value >= edges[1])

@@ -12,8 +12,6 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 from sixthsense.core.returns import Bearings
 
-_ROWS = 64  # of a store that is empty
-
 
 class Returns(NamedTuple):
     """Returns of scans, by scan and by bearing; laser's frame, m."""
@@ -39,9 +37,9 @@ class ScanStore:
     def __init__(self, max_range_m: float) -> None:
         """Begin empty; returns beyond `max_range_m` are not used."""
         self._max_range_m = max_range_m
-        self.returns = _zeros(_ROWS, 0)
+        self.returns = _zeros(1, 0)
         """the arrays, with `count` scans, then the newest one, then rows without meaning"""
-        self.centres = np.zeros((_ROWS, 3))
+        self.centres = np.zeros((1, 3))
         """(n, 3) middle of what each scan sees, in its frame, as a pose without a turn"""
         self.count = 0
         """number of scans kept"""

@@ -39,19 +39,17 @@ from sixthsense.core.se2 import (
 from sixthsense.slam.scans.agreement import agreement_of, contradicted
 from sixthsense.slam.scans.alignment import SIGMA_M, Prior, Sums, Views, align
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
-from sixthsense.slam.scans.places import PLACE, VOXEL_M, Window, peaks, pyramid, surfaces
+from sixthsense.slam.scans.places import PLACE, Window, peaks, pyramid, surfaces
 
 SLIP_SIGMAS = 6.0
 """scale of the loss on the distance of a motion from that of the wheels; beyond it other starts are tried"""
-SLIP_M, SLIP_RAD = 0.5, 0.5
-"""sigmas of a motion that the wheels have missed"""
+SLIP = 0.5
+"""sigma of a motion that the wheels have missed, m and rad"""
 LEAST_SCORE = 0.3
 """share of the returns that a submap must explain where a scan is searched"""
 _MOST_PLACES, _NEAREST = 8, 3  # places in it that are tried, and keyframes that a scan is aligned with there
-_WEAK = 0.05  # weight of odometry that may have slipped
-_SLIPS, _NO_EVIDENCE = 0.01, 0.05  # probability that wheels slip over a motion, and that a scan is no evidence
+_RARE = 0.02  # probability that wheels slip, that a scan is no evidence, and of a return that is seen through, at least
 _CHANCE, _THROUGH = 0.15, 0.4  # share of judged returns that lie on lines, and that are seen through, at a wrong pose
-_LEAST_SHARE = 0.01  # that is usually seen through
 _DOUBTED = 0.1  # share of returns that are seen through, beyond the usual one, at which other starts are tried
 _NEWEST_SHARE = 0.02  # of the newest scan in what is usual
 _SURFACE = 5.0  # neighbouring returns of one surface, which are one piece of evidence
@@ -184,7 +182,7 @@ def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: boo
     best = tracked_at(views, prior, prior, starts[0], NEAR_GATE_M, usual, is_guess)
     if _is_usual(best, usual):
         return best
-    firm, weak = Prior(prior.pose, prior.information, np.inf), Prior(prior.pose, _WEAK * prior.information, SLIP_SIGMAS)
+    firm, weak = Prior(prior.pose, prior.information, np.inf), Prior(prior.pose, np.eye(3) / SLIP**2, np.inf)
     held = tracked_at(views, prior, firm, prior.pose, NEAR_GATE_M, usual, is_guess)
     if _is_usual(held, usual):
         return held
@@ -208,9 +206,9 @@ def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
 
     Each place where enough of its returns fit the submap is tried.
     """
-    returns, loose = views.returns, Prior(prior.pose, np.diag([SLIP_M**-2, SLIP_M**-2, SLIP_RAD**-2]), math.inf)
-    points, own = returns.points[views.source], surfaces(returns, views.targets, between(prior.pose, views.at), VOXEL_M)
-    window = Window(np.zeros(3), SIGNIFICANT * SLIP_M, SIGNIFICANT * SLIP_RAD)
+    returns, loose = views.returns, Prior(prior.pose, np.eye(3) / SLIP**2, math.inf)
+    points, own = returns.points[views.source], surfaces(returns, views.targets, between(prior.pose, views.at))
+    window = Window(np.zeros(3), SIGNIFICANT * SLIP, SIGNIFICANT * SLIP)
     submap, seen = pyramid(np.ascontiguousarray(own[:, :2])), points[points[:, 2] > 0.0, :2].astype(np.float64)
     rows = peaks(submap, seen, window, LEAST_SCORE, PLACE, _MOST_PLACES) if len(seen) else np.zeros((0, 4))
     places, found = [prior.pose, *compose(prior.pose, rows[:, 1:]).reshape(-1, 3)], list[Tracked]()
@@ -256,11 +254,11 @@ def tracked_at(
         pose = np.array((x + off[0], y + off[1], wrapped(theta + off[2])))
     pull = product(prior.information, off)
     square = off[0] * pull[0] + off[1] * pull[1] + off[2] * pull[2]
-    right = 1.0 - max(usual.contradicted, _LEAST_SHARE)
+    right = 1.0 - max(usual.contradicted, _RARE)
     seen = _log_ratio(agreed.hits / _SURFACE, agreed.through / _SURFACE, right, 1.0 - _THROUGH)
     seen += _log_ratio_of_any(agreed.lines / _SURFACE, (judged - agreed.lines) / _SURFACE, usual.lines, _CHANCE)
     slipping, rolling = _slipping(prior, off), _rolling(square)
-    log_odds = max(slipping, rolling) + seen - math.log(_NO_EVIDENCE)
+    log_odds = max(slipping, rolling) + seen - math.log(_RARE)
     cov, lines = inverse_covariance(added(prior.information, information)), agreed.lines / max(judged, 1.0)
     return Tracked(pose, cov, off, square, log_odds, share, lines, slipping > rolling)
 
@@ -274,7 +272,7 @@ def _remapped(information: Array, prior: Prior, off: Array) -> tuple[Array, Arra
     """
     values, axes = np.linalg.eigh(information)
     left = np.maximum(values - 0.5 * FEW_RETURNS / SIGMA_M**2, 0.0)
-    told, share = (axes * left) @ axes.T, (axes * (left / np.maximum(values, 1e-3))) @ axes.T
+    told, share = (axes * left) @ axes.T, (axes * (left / np.maximum(values, 1.0))) @ axes.T
     by_scans = product(share, product(added(prior.information, information), off))
     return product(inverse_covariance(added(prior.information, told)), by_scans), told
 
@@ -308,6 +306,6 @@ def _rolling(square: float) -> float:
 def _slipping(prior: Prior, off: Array) -> float:
     """Log density of a pose that is `off` (3,) if wheels slip, over that of the prior's own pose if they do not."""
     root = whitening(prior.information)
-    wider = math.log(SLIP_M * SLIP_M * SLIP_RAD) - math.log(root[0, 0] * root[1, 1] * root[2, 2])
-    square = (off[0] / SLIP_M) ** 2 + (off[1] / SLIP_M) ** 2 + (off[2] / SLIP_RAD) ** 2
-    return float(math.log(_SLIPS) - max(wider, 0.0) - 0.5 * square)
+    wider = math.log(SLIP**3) - math.log(root[0, 0] * root[1, 1] * root[2, 2])
+    square = (off[0] ** 2 + off[1] ** 2 + off[2] ** 2) / SLIP**2
+    return float(math.log(_RARE) - max(wider, 0.0) - 0.5 * square)

@@ -48,9 +48,9 @@ def test_pairs_are_counted_as_a_plain_loop_counts_them():
             if not n.any() or not m.any():
                 continue
             distance = np.linalg.norm(q - p)
-            row = distance // 0.75 if distance < 12.0 else min(16 + (distance - 12.0) // 1.5, 23)
+            row = min(distance // 0.75, 23)
             across = abs(n @ (q - p) / distance) + abs(m @ (q - p) / distance)
-            expected[int(row), np.digitize(abs(n @ m), [0.5, 0.87]), np.digitize(across, [0.5, 1.2])] += 1
+            expected[int(row), np.digitize(abs(n @ m), [1 / 3, 2 / 3]), np.digitize(across, [2 / 3, 4 / 3])] += 1
     found = appearance(surfaces)
     assert len(found) == BINS and found**2 * expected.sum() == pytest.approx(expected.ravel(), abs=1e-9)
 

@@ -12,7 +12,7 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.closings import Closings
-from sixthsense.slam.scans.links import align_with, private_covariance
+from sixthsense.slam.scans.links import align_pairs, private_covariance
 from sixthsense.slam.slam import Slam
 
 
@@ -150,13 +150,6 @@ def test_a_filter_that_is_asked_for_scans_is_named_with_those_that_can():
         Slam(preset(front_end="scan-matching", estimator=EKF))
 
 
-def test_an_estimator_that_is_named_alone_gets_the_front_end_that_it_can_use():
-    assert (preset("log").estimator, preset("log").front_end) == ("isam2", "scan-matching")
-    assert preset("log", estimator="ekf-invariant").front_end == "landmarks"
-    assert preset("log", front_end="landmarks").estimator == "isam2"
-    assert preset(front_end="scan-matching").estimator == "isam2" and preset().front_end == "landmarks"
-
-
 def test_the_same_drive_gives_the_same_bits():
     poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2)])
     one, two = (run(CONFIG, poses, ROOM)[1] for _ in range(2))
@@ -169,7 +162,8 @@ def test_a_loop_closure_that_contradicts_the_graph_is_undone_with_what_followed(
     graph, before = front_end._graph, slam.trajectory()
     last = graph.count - 1
     links_before = graph.links
-    found = align_with(graph.store.returns, np.array([0, 1, 2]), last, graph.poses, 0.12)
+    keys, starts = np.arange(3), between(graph.poses[:3], graph.poses[last])
+    found = align_pairs(graph.store.returns, keys, np.full(3, last), starts, 0.12)
     found.poses[:] = found.poses + np.array([0.8, -0.5, 0.3])  # a wrong place
     closings: Closings = front_end.loop_closures.closings
     stands = closings.close(found)

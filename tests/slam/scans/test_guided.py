@@ -8,8 +8,7 @@ import pytest
 from rooms import CORNERS, RING, drive, ticks
 
 from sixthsense.config import Config, merge, preset
-from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.slam.slam import Slam
 
@@ -57,33 +56,3 @@ def test_a_proposal_is_no_measurement() -> None:
         result = slam.finish()
     assert not len(result.estimate.ids) and result.loop_closures is not None
     assert np.allclose(step.pose.array(), step.dead_reckoned.array(), atol=1e-9)  # odometry alone
-
-
-def test_observations_that_a_log_names_are_used_beside_proposals_by_scans() -> None:
-    """Scans at every other keyframe, and named landmarks in between: both count, and no motion counts twice."""
-    named = {1000: np.array([-5.0, -4.0]), 1001: np.array([-7.0, -8.0])}
-    cov = 1e-4 * np.eye(2)
-    config = merge(CONFIG, {"estimator": "ekf-invariant"})
-    used = []
-    with Slam(config, POSES[0]) as slam:
-        for k, tick in enumerate(ticks(POSES[:200], RING, scale=1.0, drift=0.0)):
-            if k % 10 == 5:
-                here = POSES[k].inverse()
-                seen = {i: Observation(Kind.CORNER, here @ at, cov) for i, at in named.items()}
-                tick = dataclasses.replace(tick, scan=None, observations=seen)
-            step = slam.take(tick)
-            if tick.observations:
-                assert step.keyframe is not None
-                used.append(step.keyframe.association.observations.keys() == named.keys())
-        result = slam.finish()
-        rows, columns = np.nonzero(slam.grid.obstacles)
-        x, y = slam.grid.origin
-        cell_m = config.grid.cell_m
-        obstacles = np.column_stack([x + (columns + 0.5) * cell_m, y + (rows + 0.5) * cell_m])
-    off = np.min([point_segment_distance(point, RING) for point in obstacles], axis=1)
-    assert len(obstacles) > 500 and np.max(off) < 0.15  # the map draws a scan at its own keyframe
-    assert len(used) == 20 and all(used)
-    landmarks = dict(zip(result.estimate.ids.tolist(), result.estimate.landmarks, strict=True))
-    assert all(np.allclose(landmarks[i], at, atol=0.05) for i, at in named.items())
-    off = step.pose.array() - POSES[199].array()
-    assert np.hypot(off[0], off[1]) < 0.05

@@ -26,7 +26,7 @@ def room():
     scans = [Pose(-1.0, 0.5, 0.0), Pose(0.0, -1.0, 1.0), Pose(-3.0, 1.0, 2.0)]
     store = stored(*(scan_at(pose) for pose in scans))
     poses = np.array([pose.array() for pose in scans])
-    return np.ascontiguousarray(surfaces(store.returns, np.arange(3), poses, 0.05)[:, :2])
+    return np.ascontiguousarray(surfaces(store.returns, np.arange(3), poses)[:, :2])
 
 
 def brute_force(cells, points, window):
@@ -44,12 +44,6 @@ def brute_force(cells, points, window):
                 inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
                 scores[a, dx, dy] = values[i[inside], j[inside]].sum() / (PEAK * len(points))
     return scores
-
-
-def test_no_place_is_found_where_no_return_is_near_enough():
-    points = np.array([[1.3, -0.4], [2.1, 0.7], [-1.9, 3.2]])
-    window = Window(np.array([0.4, -0.7, 0.3]), 2.5, 0.3)
-    assert len(peaks(pyramid(points[:0]), points, window, 0.3, Apart(0.7, 0.2))) == 0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -97,26 +91,12 @@ def test_blocks_have_the_largest_value_of_their_cells(room):
             assert (cells.blocks[a, b] == windows[a::BLOCK, b::BLOCK]).all()
 
 
-def test_places_that_look_alike_are_all_found(room):
-    window, cells = Window(np.zeros(3), 1.5, 0.1), pyramid(room)
-    found = peaks(cells, room, window, 0.1, Apart(0.7, 0.2))
-    assert len(found) > 3 and (np.diff(found[:, 0]) <= 0).all()
-    gaps = np.hypot(*(found[:, None, 1:3] - found[None, :, 1:3]).transpose(2, 0, 1))
-    assert (gaps[~np.eye(len(found), dtype=bool)] >= 0.7).all()
-    rows = np.repeat(np.linspace(0.0, 12.0, 241), 2)  # a straight wall is alike everywhere along itself
-    wall = np.stack([rows, np.zeros_like(rows)], axis=1)
-    alike = peaks(
-        pyramid(wall), wall[100:200] - (7.5, 0.0), Window(np.array([6.0, 0.0, 0.0]), 3.0, 0.05), 0.9, Apart(0.7, 0.2)
-    )
-    assert len(alike) >= 6 and np.ptp(alike[:, 1]) > 3.5
-
-
 def test_a_scan_of_many_thousand_returns_fits_where_it_was_taken(room):
     """More points than two bytes can sum: they stand for each other."""
     pose = Pose(0.31, -0.22, 0.17)
     own = pose.inverse() @ room
     window, cells = Window(pose.array() + np.array([0.2, -0.1, 0.03]), 0.8, 0.1), pyramid(room)
-    many = peaks(cells, np.repeat(own, 1 + 9000 // len(own), axis=0), window, 0.2, PLACE)
+    many = peaks(cells, np.repeat(own, 1 + 40000 // len(own), axis=0), window, 0.2, PLACE)
     few = peaks(cells, own, window, 0.2, PLACE)
     assert many[0] == pytest.approx(few[0], abs=0.01)
     assert many[0, 1:3] == pytest.approx(pose.position, abs=2 * CELL_M)
