@@ -60,7 +60,7 @@ def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp
     assert run.metrics.keys().isdisjoint({"wall_time_s", "landmarks", "landmarks_culled", "walls_merged"})
     for kind in ("map", "error", "nees", "nis", "stages", "coverage"):
         assert run.plot(kind).png()
-    with pytest.raises(InputError, match=r"exploration: found a folder without the grid map, allowed: "):
+    with pytest.raises(InputError, match=r"exploration: found a run without an exploration, allowed: "):
         run.plot("exploration")
 
 
