@@ -158,13 +158,14 @@ def near_walls(walls: Array, reach_m: float) -> Callable[[float, float], Array]:
 def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:
     """Ranges as `cast_rays` returns them, and (N,) the index of the wall that each beam hits, -1 for none.
 
-    Where two walls are hit at the same distance, the first is taken. It is slower than `cast_rays` and meant for
-    evaluation.
+    Where two walls are hit at the same distance, the first is taken.
     """
-    ranges, index = np.full(len(bearings), np.inf), np.full(len(bearings), -1, dtype=np.int64)
-    beams = beams_of(bearings)
-    for k, wall in enumerate(walls.reshape(-1, 1, 4)):
-        found = cast_among(T_world_laser, beams, wall, max_range)
-        is_nearer = found < ranges
-        ranges[is_nearer], index[is_nearer] = found[is_nearer], k
-    return ranges, index
+    first, last = (T_world_laser.inverse() @ walls[:, k] for k in (0, 1))
+    (ax, ay), (ex, ey), beams = first.T, (last - first).T, beams_of(bearings[:, None])
+    with np.errstate(divide="ignore", invalid="ignore"):  # a wall along a beam is not hit
+        inverse = 1.0 / (beams.cos * ey - beams.sin * ex)
+        t, u = (ax * ey - ay * ex) * inverse, (ax * beams.sin - ay * beams.cos) * inverse
+        is_hit = (t >= 0.0) & (u >= -_JOIN) & (u <= 1.0 + _JOIN) & (t < max_range)
+    ranges = np.where(is_hit, t, np.inf)
+    nearest = ranges.min(axis=1, initial=np.inf)
+    return nearest, np.where(nearest < np.inf, ranges.argmin(axis=1) if len(walls) else -1, -1)
