@@ -17,7 +17,7 @@ from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
 
-_STOPS = 20  # so many views are visited by a tour, those with the shortest ways
+_STOPS = 12  # so many views are visited by a tour, those with the shortest ways
 
 
 @dataclass(frozen=True, slots=True, eq=False)

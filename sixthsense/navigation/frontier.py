@@ -58,7 +58,7 @@ class Known(NamedTuple):
     @classmethod
     def of(cls, seen: Bools, obstacles: Bools, first: Cell, cell_m: float, region: Region, outside_m: float) -> Known:
         """What is known of the seen cells and the obstacles (H, W)."""
-        unknown = ndimage.binary_opening(~(seen | obstacles), _AROUND)
+        unknown = _opened(~(seen | obstacles))
         near = np.zeros_like(unknown)
         part = cells_within(region, cell_m, outside_m).within(first, near.shape)
         near[part] = unknown[part]
@@ -82,22 +82,51 @@ def frontier_pieces(free: Bools, unseen: Bools, first: Cell, cell_m: float, robo
     is_place = np.bincount(places.ravel()) * cell_m**2 >= PIECE_M**2
     is_place[places[here]] = True
     is_place[0] = False
-    frontier = is_place[places] & ndimage.binary_dilation(unseen)
+    frontier = is_place[places] & _with_neighbours(unseen)
     edge = np.argwhere(frontier)
     if len(edge) == 0:
         return []
     parts, _ = ndimage.label(frontier, _AROUND)
-    keys = np.column_stack([parts[tuple(edge.T)], (edge + first) // max(1, round(PIECE_M / cell_m))])
-    squares, which, lengths = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    which, part, robot_length = which.ravel(), squares[:, 0], 2.0 * radius_m / cell_m
+    square = (edge + first) // max(1, round(PIECE_M / cell_m))
+    square -= square.min(axis=0)
+    rows, cols = (square.max(axis=0) + 1).tolist()
+    part_of = parts[tuple(edge.T)].astype(np.int64)
+    keys, which, lengths = np.unique(
+        (part_of * rows + square[:, 0]) * cols + square[:, 1], return_inverse=True, return_counts=True
+    )
+    part, robot_length = keys // (rows * cols), 2.0 * radius_m / cell_m
     is_longest = lengths == ndimage.maximum(lengths, part, part)
-    is_piece = (lengths >= robot_length) | (is_longest & (np.bincount(keys[:, 0])[part] >= robot_length))
+    is_piece = (lengths >= robot_length) | (is_longest & (np.bincount(part_of)[part] >= robot_length))
     around = np.clip(edge[:, None] + _BESIDE, 0, np.array(unseen.shape) - 1)
     k, side = np.nonzero(unseen[around[..., 0], around[..., 1]])
-    beside = np.unique(np.column_stack([which[k], around[k, side]]), axis=0)
+    row, col = around[k, side].T
+    beside = np.unique((which[k] * unseen.shape[0] + row) * unseen.shape[1] + col)
+    of_piece, flat = np.divmod(beside, unseen.size)
     cells = np.split(edge[np.argsort(which, kind="stable")], np.cumsum(lengths)[:-1])
-    unseen_cells = np.split(beside[:, 1:], np.searchsorted(beside[:, 0], np.arange(1, len(squares))))
+    unseen_cells = np.split(
+        np.column_stack(np.divmod(flat, unseen.shape[1])), np.searchsorted(of_piece, np.arange(1, len(keys)))
+    )
     return [Piece(cells[k], unseen_cells[k]) for k in np.flatnonzero(is_piece)]
+
+
+def _opened(mask: Bools) -> Bools:
+    """(H, W) a mask without what is narrower than three cells: much faster than by `scipy.ndimage`."""
+    across = mask[:, :-2] & mask[:, 1:-1] & mask[:, 2:]
+    core = across[:-2] & across[1:-1] & across[2:]
+    opened = np.zeros_like(mask)
+    for row, col in np.ndindex(3, 3):
+        opened[row : row + core.shape[0], col : col + core.shape[1]] |= core
+    return opened
+
+
+def _with_neighbours(mask: Bools) -> Bools:
+    """(H, W) the cells of a mask, and those across their edges."""
+    wider = mask.copy()
+    wider[1:] |= mask[:-1]
+    wider[:-1] |= mask[1:]
+    wider[:, 1:] |= mask[:, :-1]
+    wider[:, :-1] |= mask[:, 1:]
+    return wider
 
 
 def frontier_points(

@@ -49,10 +49,13 @@ class DrivingMap:
         self.grid, self.estimate = grid, estimate
         self.clearance.update(grid)
         self.wish_m = self._own_m + _margin_m(estimate.pose_cov, self._config)
+        self._space: tuple[Pose, FreeSpace] | None = None
 
     def free_space(self, pose: Pose) -> FreeSpace:
         """Where a robot at a pose may drive, and what that costs."""
-        return self.clearance.free_space(self.wish_m, pose.position, self._unseen_m)
+        if self._space is None or self._space[0] != pose:
+            self._space = pose, self.clearance.free_space(self.wish_m, pose.position, self._unseen_m)
+        return self._space[1]
 
     def is_clear(self, path: Array) -> bool:
         """Whether a path (N, 2) leads through no place that is blocked by now, and through the middle of gaps."""

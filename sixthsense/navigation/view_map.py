@@ -86,12 +86,14 @@ class ViewMap:
     def best_cells(self, mask: Bools) -> NDArray[np.int64]:
         """(R, C) of each tile its cell of `mask` with the most clearance, a flat index; -1 without one."""
         rows, cols = self.links.right.shape
-        metres = np.where(mask, self.metres, -1.0).reshape(rows, self.side, cols, self.side)
-        of_tile = metres.transpose(0, 2, 1, 3).reshape(rows, cols, -1)
-        best = of_tile.argmax(axis=2)
-        row = np.arange(rows)[:, None] * self.side + best // self.side
-        col = np.arange(cols)[None, :] * self.side + best % self.side
-        return np.where(of_tile.max(axis=2) >= 0.0, row * mask.shape[1] + col, -1)
+        best, most = np.full((rows, cols), -1), np.full((rows, cols), -1.0, dtype=np.float32)
+        index = np.arange(mask.size).reshape(mask.shape)
+        for row, col in np.ndindex(self.side, self.side):
+            part = slice(row, None, self.side), slice(col, None, self.side)
+            is_better = mask[part] & (self.metres[part] > most)
+            np.copyto(best, index[part], where=is_better)
+            np.copyto(most, self.metres[part], where=is_better)
+        return best
 
     def lengths_m(self, cells: Cells) -> Array:
         """(N,) lengths of the ways from the robot to cells (N, 2), metres; inf where none leads."""
