@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.mapping.changes import Box, Changes, Revision
+from sixthsense.slam.mapping.changes import Box, Changes, Revision, moved
 from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace
 
 _OPPOSITE = 0.5  # cosine: the sides of a gap are at a larger angle than this to the way across it
@@ -84,7 +84,7 @@ class Clearance:
             before, self.box = self.box, box
             names = ("metres", "offsets", "blocked", "seen", "obstacles")
             for name, fill in zip(names, (self.most_m, 0.0, False, False, False), strict=True):
-                setattr(self, name, _moved(getattr(self, name), before, box, fill))
+                setattr(self, name, moved(getattr(self, name), before, box, fill))
         part = (box if changed is None else changed.grown(reach)).within((box.top, box.left), self.metres.shape)
         drawn = Box(box.top + part[0].start, box.left + part[1].start, box.top + part[0].stop, box.left + part[1].stop)
         if drawn.bottom == drawn.top or drawn.right == drawn.left:
@@ -208,12 +208,3 @@ def _middle(at: NDArray[np.int32], points: Array, row: float, col: float) -> tup
         if k >= 0:
             found = min(found, math.hypot(row + down - points[k, 0], col + across - points[k, 1]))
     return down, across, found
-
-
-def _moved(cells: NDArray[Any], before: Box, box: Box, fill: float) -> NDArray[Any]:
-    """(H, W, ...) what cells of a box have in another box, `fill` outside."""
-    shape = box.bottom - box.top, box.right - box.left
-    moved = np.full((*shape, *cells.shape[2:]), fill, dtype=cells.dtype)
-    here = box.within((before.top, before.left), cells.shape)
-    moved[before.within((box.top, box.left), shape)] = cells[here]
-    return moved

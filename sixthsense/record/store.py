@@ -133,7 +133,7 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     extents = np.array([record.extent for record in kept.values()])
     landmarks = LandmarkPrior(final.ids, final.landmarks, final.walls, cov, extents)
     none = np.zeros(0, np.int32)
-    evidence = Submap.of(np.zeros((0, 2), np.int64), none, none, np.zeros(0, np.bool_))
+    evidence = Submap(np.zeros((0, 2), np.int64), none, none, np.zeros(0, np.bool_), np.zeros((0, 3), np.int16))
     if trace.grid is not None:
         evidence = trace.grid.submap()
     name, cell_m = folder.resolve().name, trace.config.grid.cell_m

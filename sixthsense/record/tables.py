@@ -118,8 +118,8 @@ def end_arrays(trace: Trace) -> Iterator[tuple[str, NDArray[Any]]]:
     if relations is not None:
         yield "relations", rows_of(stamps=relations.stamps, pose=relations.poses)
     if trace.grid is not None:
-        yield "grid.hits", trace.grid.narrow("hits")
-        yield "grid.passes", trace.grid.narrow("passes")
+        for name, counts in (("hits", trace.grid.hits), ("passes", trace.grid.passes)):
+            yield f"grid.{name}", counts.astype(np.min_scalar_type(int(counts.max(initial=0))))
         yield "grid.seen", trace.grid.seen
 
 

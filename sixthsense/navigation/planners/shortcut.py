@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace, keeps_to_gaps, line_cost, line_touches
+from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace, line_cost, line_touches
 
 _NEAR = 0.1  # cells; so near to the middle of a narrow gap a straight line passes through it
 _AS_CHEAP = 1.001  # a straight line may cost so much more than the way points that it takes the place of
@@ -39,7 +41,7 @@ def _kept(blocked: Bools, cost: Floats, offsets: Floats, path: Array) -> NDArray
             ends = path[at, 0], path[at, 1], path[to, 0], path[to, 1]
             if to == at + 1 or (
                 not line_touches(blocked, *ends)
-                and keeps_to_gaps(offsets, *ends, _NEAR)
+                and _keeps_to_gaps(offsets, *ends, _NEAR)
                 and line_cost(cost, *ends) <= _AS_CHEAP * (spent[to] - spent[at])
             ):
                 at = to
@@ -57,6 +59,28 @@ def is_free(blocked: Bools, offsets: Floats, path: Array, tolerance: float) -> b
     """
     for i in range(len(path) - 1):
         ends = path[i, 0], path[i, 1], path[i + 1, 0], path[i + 1, 1]
-        if line_touches(blocked, *ends) or not keeps_to_gaps(offsets, *ends, tolerance):
+        if line_touches(blocked, *ends) or not _keeps_to_gaps(offsets, *ends, tolerance):
             return False
+    return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _keeps_to_gaps(offsets: Floats, x0: float, y0: float, x1: float, y1: float, tolerance: float) -> bool:
+    """Whether a segment passes each narrow gap where a way leads through it, up to a tolerance; all in cells.
+
+    Cells of a gap are those with `offsets` (H, W, 2). The segment is looked at once in half a cell.
+    """
+    height, width = offsets.shape[:2]
+    length = math.hypot(x1 - x0, y1 - y0)
+    for k in range(math.ceil(2.0 * length) + 1):
+        share = min(0.5 * k / length, 1.0) if length > 0.0 else 0.0
+        row, col = math.floor(y0 + share * (y1 - y0)), math.floor(x0 + share * (x1 - x0))
+        if not (0 <= row < height and 0 <= col < width):
+            continue
+        down, across = offsets[row, col]
+        if down != 0.0 or across != 0.0:
+            x, y = col + 0.5 + across - x0, row + 0.5 + down - y0
+            along = min(max((x * (x1 - x0) + y * (y1 - y0)) / max(length * length, 1e-12), 0.0), 1.0)
+            if math.hypot(x - along * (x1 - x0), y - along * (y1 - y0)) > tolerance:
+                return False
     return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +35,6 @@ class Box(NamedTuple):
     right: int
     """column past the last"""
 
-    @property
-    def corners(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Row, col of the first and of the last cell."""
-        return (self.top, self.left), (self.bottom - 1, self.right - 1)
-
     def grown(self, cells: int) -> Box:
         """The same and the cells around it."""
         return Box(self.top - cells, self.left - cells, self.bottom + cells, self.right + cells)
@@ -56,7 +51,7 @@ class Box(NamedTuple):
         return rows, cols
 
 
-def box_of(cells: NDArray[np.int64]) -> Box:
+def box_of(cells: NDArray[Any]) -> Box:
     """The box of (N, 2) cells, N > 0."""
     (top, left), (bottom, right) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
     return Box(top, left, bottom + 1, right + 1)
@@ -78,21 +73,25 @@ def cell_box(low: Array, high: Array, most: int = MAX_CELLS) -> tuple[tuple[int,
 
 
 def grown_box(box: Box, low: Array, high: Array) -> Box:
-    """The box extended to hold the cells from (2,) `low` up to `high`, exclusive; InputError if that is too large."""
-    old_low, old_high = np.full(2, np.inf), np.full(2, -np.inf)
-    if box.bottom > box.top:
-        old_low, old_high = (np.array(corner, dtype=np.float64) for corner in (box[:2], box[2:]))
-    if (low >= old_low).all() and (high <= old_high).all():
-        return box
-    # A side that must move moves by at least a tile and a quarter of the extent, so that masks are seldom drawn anew.
-    all_low, all_high = np.minimum(low, old_low), np.maximum(high, old_high)
-    step = np.maximum(TILE, (all_high - all_low) // 4)
-    roomy_low = np.where(low < old_low, low - step, old_low)
-    roomy_high = np.where(high > old_high, high + step, old_high)
-    if np.prod(roomy_high - roomy_low) <= MAX_CELLS:
-        all_low, all_high = roomy_low, roomy_high
-    (row, col), (height, width) = cell_box(all_low, all_high, MAX_BOX)
+    """The box extended to hold the cells from (2,) `low` up to `high`, exclusive; InputError if that is too large.
+
+    Where it grows it grows by a tile more: so masks are seldom drawn anew, and unknown cells are around the map.
+    """
+    is_begun = box.bottom > box.top
+    old_low, old_high = (np.array(box[:2]), np.array(box[2:])) if is_begun else (high, low)
+    low = np.where(low < old_low, low - TILE, old_low)
+    high = np.where(high > old_high, high + TILE, old_high)
+    (row, col), (height, width) = cell_box(low, high, MAX_BOX)
     return Box(row, col, row + height, col + width)
+
+
+def moved(cells: NDArray[Any], before: Box, box: Box, fill: float) -> NDArray[Any]:
+    """(H, W, ...) what cells of a box have in another box, `fill` outside."""
+    shape = box.bottom - box.top, box.right - box.left
+    there = np.full((*shape, *cells.shape[2:]), fill, dtype=cells.dtype)
+    here = box.within((before.top, before.left), cells.shape)
+    there[before.within((box.top, box.left), shape)] = cells[here]
+    return there
 
 
 class Changes:

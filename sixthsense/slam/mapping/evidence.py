@@ -5,7 +5,6 @@ So memory follows what was seen, not the box around it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -49,11 +48,6 @@ class EvidenceRules(NamedTuple):
         return cls(config.min_hits, config.max_hits, config.passes_per_hit)
 
 
-def are_obstacles(hits: NDArray[Any], passes: NDArray[Any], rules: EvidenceRules | GridConfig) -> Bools:
-    """Which cells are obstacles by these counts, arrays of one shape."""
-    return np.asarray((hits >= rules.min_hits) & (passes <= rules.passes_per_hit * hits))
-
-
 class Cells(NamedTuple):
     """Flat arrays, tile after tile: what is kept of each cell."""
 
@@ -93,20 +87,15 @@ class Tiles:
 
     def cover(self, box: Box) -> None:
         """Extend the index to a box of cells."""
-        top, left = (math.floor(cell / TILE) for cell in (box.top, box.left))
-        bottom, right = (math.ceil(cell / TILE) for cell in (box.bottom, box.right))
-        if self.index.size:
-            old_top, old_left = self.first[0] // TILE, self.first[1] // TILE
-            top, left = min(top, old_top), min(left, old_left)
-            bottom, right = max(bottom, old_top + self.index.shape[0]), max(right, old_left + self.index.shape[1])
-        else:
-            old_top, old_left = top, left
+        top, left, bottom, right = (edge // TILE for edge in box.aligned(TILE))
+        old_top, old_left = (cell // TILE for cell in self.first) if self.index.size else (top, left)
+        top, left = min(top, old_top), min(left, old_left)
+        bottom, right = max(bottom, old_top + self.index.shape[0]), max(right, old_left + self.index.shape[1])
         if (bottom - top, right - left) == self.index.shape:
             return
-        index = np.full((bottom - top, right - left), -1, dtype=np.int32)
         self.squares = self.squares + np.array([old_top - top, old_left - left])
-        index[tuple(self.squares.T)] = np.arange(len(self.squares))
-        self.first, self.index = (top * TILE, left * TILE), index
+        self.first, self.index = (top * TILE, left * TILE), np.full((bottom - top, right - left), -1, dtype=np.int32)
+        self.index[tuple(self.squares.T)] = np.arange(len(self.squares))
 
     def allocate(self, wanted: Bools) -> None:
         """Allocate tiles in the squares (R, C) that are wanted and have none; InputError if these are too many."""
@@ -151,15 +140,9 @@ class Tiles:
         tiles = self.index[squares & (self.index >= 0)]
         arrays = self.cells.hits, self.cells.passes, self.cells.obstacles
         hits, passes, obstacles = (array.reshape(-1, TILE * TILE) for array in arrays)
-        obstacles[tiles] = are_obstacles(hits[tiles], passes[tiles], self.rules)
-
-    def touched(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(N,) where the cells with evidence are in the arrays, and (N, 2) row, col from the world's origin, sorted."""
-        slots = np.flatnonzero((self.cells.hits > 0) | self.cells.seen)  # what is passed is seen
-        corners = self.squares[slots >> (2 * SHIFT)] * TILE + np.array(self.first)
-        cells = corners + np.stack([(slots >> SHIFT) & (TILE - 1), slots & (TILE - 1)], axis=1)
-        order = np.lexsort((cells[:, 1], cells[:, 0]))
-        return slots[order], cells[order]
+        obstacles[tiles] = (hits[tiles] >= self.rules.min_hits) & (
+            passes[tiles] <= self.rules.passes_per_hit * hits[tiles]
+        )
 
     def part(self, array: NDArray[Any], box: Box) -> NDArray[Any]:
         """(H, W) what a flat array has of the cells in a box, 0 or False where there is no tile."""
@@ -227,22 +210,6 @@ def line_cells(r0: int, c0: int, r1: int, c1: int) -> NDArray[np.int64]:
         row += row_step * (is_steep or is_diagonal)
         col += col_step * (not is_steep or is_diagonal)
     return cells
-
-
-@numba.njit(cache=True, error_model="numpy")
-def touched_squares(scan: ScanCells, squares: Bools) -> None:
-    """Mark the squares (R, C) of the cells that a scan touches."""
-    for i in range(len(scan.ends)):
-        _mark_line(scan.laser, scan.ends[i], squares)
-    for j in range(0, len(scan.walls), 2):
-        _mark_line(scan.walls[j], scan.walls[j + 1], squares)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _mark_line(first: NDArray[np.int64], last: NDArray[np.int64], squares: Bools) -> None:
-    line = line_cells(first[0], first[1], last[0], last[1])
-    for k in range(len(line)):
-        squares[line[k, 0] >> SHIFT, line[k, 1] >> SHIFT] = True
 
 
 @numba.njit(cache=True, error_model="numpy")

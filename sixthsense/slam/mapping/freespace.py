@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.mapping.changes import cell_box
+from sixthsense.slam.mapping.changes import Box, cell_box, moved
 
 TOUCH = 1e-9
 """Tolerance of geometric tests, in cells: a corner that is just touched counts as touched."""
@@ -81,9 +81,7 @@ class FreeSpace:
 
     def is_blocked(self, point_world: ArrayLike) -> bool:
         """Whether a (2,) point lies in a blocked cell."""
-        row, col = self.cell_of(point_world)
-        height, width = self.blocked.shape
-        return bool(0 <= row < height and 0 <= col < width and self.blocked[row, col])
+        return self.contains(point_world) and bool(self.blocked[self.cell_of(point_world)])
 
     def line_is_free(self, a_world: ArrayLike, b_world: ArrayLike) -> bool:
         """Whether no blocked cell is touched, not even at a corner, by the segment between two (2,) points.
@@ -108,18 +106,11 @@ class FreeSpace:
         point = as_point("point", point_world)
         if not self.is_blocked(point):
             return point
-        height, width = self.blocked.shape
-        row, col = self.cell_of(point)
-        reach = math.ceil(min(within_m / self.cell_m, max(height, width))) + 1
-        rows, cols = (np.arange(k - reach, k + reach + 1) for k in (row, col))
-        blocked = np.zeros((len(rows), len(cols)), dtype=np.bool_)
-        inside = np.ix_((rows >= 0) & (rows < height), (cols >= 0) & (cols < width))
-        blocked[inside] = self.blocked[max(row - reach, 0) : row + reach + 1, max(col - reach, 0) : col + reach + 1]
-        x = self.origin[0] + (cols + 0.5) * self.cell_m - point[0]
-        y = self.origin[1] + (rows + 0.5) * self.cell_m - point[1]
-        distance = np.where(blocked, np.inf, np.hypot(x[None, :], y[:, None]))
-        i, j = np.unravel_index(np.argmin(distance), distance.shape)
-        return self.centre(int(rows[i]), int(cols[j])) if distance[i, j] <= within_m else None
+        space = self.covering(point - within_m, point + within_m)
+        row, col = np.nonzero(~space.blocked)
+        centres = np.array(space.origin) + (np.column_stack([col, row]) + 0.5) * self.cell_m
+        away = np.linalg.norm(centres - point, axis=1)
+        return centres[away.argmin()] if away.min(initial=np.inf) <= within_m else None
 
     def covering(self, *points_world: ArrayLike) -> FreeSpace:
         """Extend by unknown cells where needed to cover all the given (2,) points.
@@ -134,14 +125,10 @@ class FreeSpace:
         if self.blocked.size:
             low, high = np.minimum(low, 0.0), np.maximum(high, self.blocked.shape)
         (row, col), (height, width) = cell_box(low, high)
-        place = slice(-row, -row + self.blocked.shape[0]), slice(-col, -col + self.blocked.shape[1])
+        before, box = Box(0, 0, *self.blocked.shape), Box(row, col, row + height, col + width)
+        arrays = (self.blocked, False), (self.seen, False), (self.cost, 1.0), (self.offsets, 0.0)
+        blocked, seen, cost, offsets = (moved(array, before, box, fill) for array, fill in arrays)
         origin = self.origin[0] + col * self.cell_m, self.origin[1] + row * self.cell_m
-        arrays = []
-        for array in (self.blocked, self.seen, self.cost, self.offsets):
-            larger = np.full((height, width, *array.shape[2:]), array is self.cost, dtype=array.dtype)
-            larger[place] = array
-            arrays.append(larger)
-        blocked, seen, cost, offsets = arrays
         return FreeSpace(blocked, seen, origin, self.cell_m, cost, offsets)
 
     def _in_cells(self, name: str, point_world: ArrayLike) -> tuple[float, float]:
@@ -179,28 +166,6 @@ def line_touches(grid: Bools, x0: float, y0: float, x1: float, y1: float) -> boo
             if grid[row, col]:
                 return True
     return False
-
-
-@numba.njit(cache=True, error_model="numpy")
-def keeps_to_gaps(offsets: Floats, x0: float, y0: float, x1: float, y1: float, tolerance: float) -> bool:
-    """Whether a segment passes each narrow gap where a way leads through it, up to a tolerance; all in cells.
-
-    Cells of a gap are those with `offsets` (H, W, 2). The segment is looked at once in half a cell.
-    """
-    height, width = offsets.shape[:2]
-    length = math.hypot(x1 - x0, y1 - y0)
-    for k in range(math.ceil(2.0 * length) + 1):
-        share = min(0.5 * k / length, 1.0) if length > 0.0 else 0.0
-        row, col = math.floor(y0 + share * (y1 - y0)), math.floor(x0 + share * (x1 - x0))
-        if not (0 <= row < height and 0 <= col < width):
-            continue
-        down, across = offsets[row, col]
-        if down != 0.0 or across != 0.0:
-            x, y = col + 0.5 + across - x0, row + 0.5 + down - y0
-            along = min(max((x * (x1 - x0) + y * (y1 - y0)) / max(length * length, 1e-12), 0.0), 1.0)
-            if math.hypot(x - along * (x1 - x0), y - along * (y1 - y0)) > tolerance:
-                return False
-    return True
 
 
 @numba.njit(cache=True, error_model="numpy")

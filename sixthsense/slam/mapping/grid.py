@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,6 @@ from sixthsense.slam.mapping.evidence import (
     ScanCells,
     Tiles,
     count_scan,
-    touched_squares,
 )
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.slam.mapping.submap import Submap, add_submap
@@ -49,9 +48,7 @@ class Grid:
     """
 
     def __init__(self, config: GridConfig, radius_m: float) -> None:
-        """Make an empty grid for a robot that is a disc of `radius_m`; ValueError if that is negative."""
-        if not (math.isfinite(radius_m) and radius_m >= 0.0):
-            raise ValueError(f"radius_m: found {radius_m}, allowed: at least 0")
+        """Make an empty grid for a robot that is a disc of `radius_m`."""
         self.inflation_m = radius_m + config.clearance_m
         """the robot's radius and clearance"""
         if self.inflation_m > _MOST_CELLS * config.cell_m:
@@ -68,22 +65,15 @@ class Grid:
     ) -> Grid:
         """The grid that has these counts: `hits`, `passes`, `seen` and `origin` of another one.
 
-        Scans may be added to it as to the other one. Raises ValueError for arrays of different shapes and for an origin
-        that is not finite.
+        Scans may be added to it as to the other one.
         """
-        if not hits.ndim == 2 or not hits.shape == passes.shape == seen.shape:
-            raise ValueError(f"counts: expected one shape (H, W), got {hits.shape}, {passes.shape} and {seen.shape}")
-        if not np.isfinite(origin).all():
-            raise ValueError(f"origin: found {origin}, allowed: finite numbers")
         grid, (x, y) = cls(config, radius_m), origin
         row, col = round(y / config.cell_m), round(x / config.cell_m)
-        grid._tiles = Tiles(grid._rules._replace(max_hits=max(config.max_hits, int(hits.max(initial=0)))))
-        grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
-        grid._tiles.cover(grid._box)
         kept = np.nonzero((hits > 0) | (passes > 0) | seen)
-        slots, cells = grid._tiles.slots(np.stack(kept, axis=1) + np.array([row, col])), grid._tiles.cells
-        cells.hits[slots], cells.passes[slots], cells.seen[slots] = hits[kept], passes[kept], seen[kept]
-        grid._tiles.mark_obstacles(grid._tiles.index >= 0)
+        cells = np.stack(kept, axis=1) + np.array([row, col])
+        places = np.zeros((len(cells), 3), dtype=np.int16)
+        grid.compose([Submap(cells, hits[kept], passes[kept], seen[kept], places)])
+        grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
         return grid
 
     def clear(self) -> None:
@@ -100,14 +90,9 @@ class Grid:
 
         A beam with a return hits the cell of its end and passes those before it. A beam without one (at or beyond
         the scan's maximum) passes all cells up to the maximum, or none if so configured. A NaN, zero or negative range
-        is no evidence. Raises ValueError for walls of another shape, for a pose, walls or maximum that are not finite,
+        is no evidence. Raises ValueError for a pose, walls or a range that are not finite,
         and when the grid would grow beyond 100 million cells; the grid is then unchanged.
         """
-        walls = np.asarray(walls_robot, dtype=np.float64)
-        if walls.ndim != 3 or walls.shape[1:] != (2, 2):
-            raise ValueError(f"walls_robot: expected shape (W, 2, 2), got {walls.shape}")
-        if not math.isfinite(scan.max_range):
-            raise ValueError(f"max_range: found {scan.max_range}, allowed: a finite number")
         T_world_laser = T_world_robot @ scan.T_robot_laser
         ranges = scan.ranges.astype(np.float64)
         valid = (ranges > 0.0) & (self._config.no_return_passes | (ranges < scan.max_range))
@@ -115,23 +100,21 @@ class Grid:
         reach = np.minimum(ranges[valid], scan.max_range)
         angles = scan.bearings[valid] + T_world_laser.theta
         ends = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=1) + T_world_laser.position
-        fitted = (T_world_robot @ walls).reshape(-1, 2) if self._config.walls else np.empty((0, 2))
+        fitted = (T_world_robot @ walls_robot).reshape(-1, 2) if self._config.walls else np.empty((0, 2))
         points = np.concatenate([T_world_laser.position[None], ends, fitted])[:, ::-1] / self._config.cell_m
         if not np.isfinite(points).all():
-            raise ValueError("scan: found a pose or a wall that is not finite, allowed: finite numbers")
+            raise ValueError("scan: found a pose, a wall or a range that is not finite, allowed: finite numbers")
         before, cells = self._box, np.floor(points)
-        self._grow(cells)
+        self._grow(box_of(cells))
+        box = box_of(cells.astype(np.int64))
         tiles, n = self._tiles, 1 + len(ends)
         local, exact = cells.astype(np.int64) - tiles.first, points - tiles.first - 0.5
         touched = ScanCells(local[0], local[1:n], returned, local[n:], exact[1:n], exact[n:])
-        squares = np.zeros(tiles.index.shape, dtype=np.bool_)
-        touched_squares(touched, squares)
         try:
-            tiles.allocate(squares)
+            tiles.allocate(tiles.touched_by([box]))
         except InputError:
             self._box = before
             raise
-        box = box_of(cells.astype(np.int64))
         self.changes.add(box)
         if self._scans == SCANS_PER_STAMP:
             tiles.cells.stamp[:], self._scans = 0, 0
@@ -141,7 +124,7 @@ class Grid:
 
     def submap(self) -> Submap:
         """The evidence of this grid, to compose another one."""
-        return Submap.from_tiles(self._tiles)
+        return Submap.of(self._tiles)
 
     def compose(self, submaps: Sequence[Submap]) -> None:
         """Replace all evidence by that of submaps in the order of their scans."""
@@ -152,7 +135,8 @@ class Grid:
 
     def recompose(self, submaps: Sequence[Submap], boxes: Sequence[Box]) -> None:
         """Replace the evidence in the tiles that boxes touch by that of submaps in the order of their scans."""
-        self._grow(np.array([corner for box in boxes for corner in box.corners]))
+        for box in boxes:
+            self._grow(box)
         tiles = self._tiles
         touched = tiles.touched_by(boxes)
         tiles.erase(touched)
@@ -167,7 +151,7 @@ class Grid:
     def mark_seen(self, cells: NDArray[np.int64]) -> None:
         """Mark cells (N, 2), row, col from the world's origin, as seen."""
         if len(cells):
-            self._grow(np.array([cells.min(axis=0), cells.max(axis=0)]))
+            self._grow(box_of(cells))
             self.changes.add_all()
             slots = self._tiles.slots(cells)
             self._tiles.cells.seen[slots] = True
@@ -182,7 +166,7 @@ class Grid:
         self._bodies = np.unique((at[:, None] + around).reshape(-1, 2), axis=0)
         for bodies in (before, self._bodies):
             if len(bodies):
-                self._grow(bodies)
+                self._grow(box_of(bodies))
                 self.changes.add(box_of(bodies))
 
     def free_space(self, *points_world: ArrayLike) -> FreeSpace:
@@ -217,12 +201,6 @@ class Grid:
         """(H, W) scans that crossed the cell and did not hit it."""
         return self._whole("passes")
 
-    def narrow(self, name: Literal["hits", "passes"]) -> NDArray[Any]:
-        """(H, W) `hits` or `passes` in the smallest type that holds them: most of a large box was never seen."""
-        counts = getattr(self._tiles.cells, name)
-        self._check_size()
-        return self._tiles.part(counts.astype(np.min_scalar_type(int(counts.max(initial=0)))), self._box)
-
     @property
     def seen(self) -> Bools:
         """(H, W) whether a beam has ever crossed the cell or ended in it: the sense grid, report section 4.5."""
@@ -250,27 +228,20 @@ class Grid:
 
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        cells = self._tiles.cells.seen.astype(np.int8)
-        cells[self._tiles.cells.obstacles] = 101
-        self._check_size()
-        occupancy = self._tiles.part(cells, self._box)
-        occupancy -= 1  # in place: there may be many more cells than were seen
-        return occupancy
+        free, obstacle, unknown = np.array([0, 100, -1], dtype=np.int8)
+        return np.asarray(np.where(self.obstacles, obstacle, np.where(self.seen, free, unknown)))
 
     def _whole(self, name: Field) -> NDArray[Any]:
         """(H, W) what is kept of all cells; InputError if they are more than 100 million."""
-        self._check_size()
+        box = np.array(self._box, dtype=np.float64)
+        cell_box(box[:2], box[2:])
         return self.part(name, self._box)
 
-    def _check_size(self) -> None:
-        box = self._box
-        cell_box(np.array([box.top, box.left], dtype=np.float64), np.array([box.bottom, box.right], dtype=np.float64))
-
-    def _grow(self, cells: NDArray[Any]) -> None:
-        """Make room for (N, 2) cells (row, col from the world's origin), for the robot around them, and for a rim."""
+    def _grow(self, box: Box) -> None:
+        """Make room for the cells of a box, for the robot around them, and for a rim."""
         margin = 1.0 + math.floor(self.inflation_m / self._config.cell_m + 0.5 + TOUCH)
-        low, high = cells.min(axis=0).astype(np.float64), cells.max(axis=0).astype(np.float64)
-        self._box = grown_box(self._box, low - margin, high + margin + 1.0)
+        low, high = np.array(box[:2], dtype=np.float64), np.array(box[2:], dtype=np.float64)
+        self._box = grown_box(self._box, low - margin, high + margin)
         self._tiles.cover(self._box)
 
 

@@ -60,7 +60,7 @@ class Mapper:
         """of the cells that each scan which is in the grid may have changed"""
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
-        self._standing_robot, self._has_passing = _NOTHING, False
+        self._standing_robot = _NOTHING
         self.earlier: Submap | None = None
         """evidence of an earlier run"""
         self._base: list[Submap] = []
@@ -125,8 +125,7 @@ class Mapper:
             self._drawn_at, self._boxes = np.zeros((0, 3)), []
             self._submaps = {}
         self.draw()
-        if self._has_passing:
-            self._block_bodies(_NOTHING)
+        self.grid.block_bodies(Pose(), _NOTHING, BODY_M)
         if self.earlier is not None:
             self.grid.mark_seen(self.earlier.cells[self.earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], {}
@@ -137,23 +136,14 @@ class Mapper:
         if drawn == len(self._rows):
             return self.grid
         poses = self._trajectory()[self._rows]
-        shift = self._shift(poses[:drawn])
-        moved = shift > self._tolerance_m
+        moved = self._shift(poses[:drawn]) > self._tolerance_m
         if moved.any():
             self._redraw(moved, poses)
-        elif shift.any():
-            self._draw_ahead()
         for k in range(drawn, len(poses)):
             self._boxes.append(self._add(self.grid, k, poses))
         self._drawn_at = np.vstack([self._drawn_at, poses[drawn:]])
-        if len(self._standing_robot) or self._has_passing:
-            self._block_bodies(self._standing_robot)
+        self.grid.block_bodies(Pose.from_array(poses[-1]), self._standing_robot, BODY_M)
         return self.grid
-
-    def _block_bodies(self, standing_robot: Array) -> None:
-        """Block the way through those who stand in the newest keyframe, and no more through those who stood before."""
-        self.grid.block_bodies(Pose.from_array(self._drawn_at[-1]), standing_robot, BODY_M)
-        self._has_passing = len(standing_robot) > 0
 
     def _shift(self, poses: Array) -> Array:
         """(D,) by how much each scan that is drawn shows its surroundings elsewhere from its present pose (D, 3), m."""
@@ -183,13 +173,6 @@ class Mapper:
         for k in rest:
             self._boxes[k] = self._add(self.grid, k, poses)
             self._drawn_at[k] = poses[k]
-
-    def _draw_ahead(self) -> None:
-        """Draw a submap that will be needed when scans move, which they do by little: many at once would take long."""
-        for m in range(len(self._drawn_at) // SCANS_PER_SUBMAP - 1, -1, -1):
-            if m not in self._submaps:
-                self._submaps[m] = self._drawn(m)
-                return
 
     def _drawn(self, m: int) -> Submap:
         """A submap of scans where they are drawn."""

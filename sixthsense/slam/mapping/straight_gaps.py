@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from sixthsense.config.sections import LaserNoise
@@ -20,45 +19,27 @@ from sixthsense.core.laser import Scan
 
 def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, longest_m: float) -> Array:
     """(W, 2, 2) the gaps of one wall whose length is between two limits, robot frame, metres."""
-    ranges = np.where(scan.ranges < scan.max_range, scan.ranges, np.nan).astype(np.float64)
-    gaps = _straight_gaps(
-        ranges, scan.bearings, scan.closed, (noise.range_m, noise.bearing_rad), (shortest_m, longest_m)
-    )
-    return np.asarray(scan.T_robot_laser @ gaps)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _straight_gaps(
-    ranges: Array, bearings: Array, closed: bool, sigmas: tuple[float, float], limits: tuple[float, float]
-) -> Array:
-    """The gaps in the laser's frame; `ranges` (N,) are NaN without a return, and `closed` scans have no ends."""
-    n = len(ranges)
-    is_straight = np.zeros(n, dtype=np.bool_)  # whether a return and its two neighbours are of one wall
-    for i in range(n):
-        a, c = (i - 1) % n, (i + 1) % n
-        if not closed and (i == 0 or i == n - 1):
-            continue
-        if not (ranges[a] > 0.0 and ranges[i] > 0.0 and ranges[c] > 0.0):
-            continue
-        before, after = (bearings[i] - bearings[a]) % (2.0 * math.pi), (bearings[c] - bearings[i]) % (2.0 * math.pi)
-        if before + after >= math.pi:
-            continue
-        share_a, share_c = math.sin(after) / math.sin(before + after), math.sin(before) / math.sin(before + after)
-        q_a, q, q_c = 1.0 / ranges[a], 1.0 / ranges[i], 1.0 / ranges[c]
-        slope = (q_c - q_a) / (before + after)
-        variance = 0.0
-        for weight, value in ((share_a, q_a), (1.0, q), (share_c, q_c)):
-            variance += weight * weight * ((sigmas[0] * value * value) ** 2 + (sigmas[1] * slope) ** 2)
-        is_straight[i] = abs(share_a * q_a + share_c * q_c - q) <= SIGNIFICANT * math.sqrt(variance)
-    gaps = np.empty((n, 2, 2))
-    count = 0
-    for i in range(n if closed else n - 1):
-        j = (i + 1) % n
-        if not (is_straight[i] or is_straight[j]):
-            continue
-        for end, k in ((0, i), (1, j)):
-            gaps[count, end, 0] = ranges[k] * math.cos(bearings[k])
-            gaps[count, end, 1] = ranges[k] * math.sin(bearings[k])
-        length = math.hypot(gaps[count, 1, 0] - gaps[count, 0, 0], gaps[count, 1, 1] - gaps[count, 0, 1])
-        count += limits[0] < length < limits[1]
-    return gaps[:count].copy()
+    is_return = (scan.ranges > 0.0) & (scan.ranges < scan.max_range)
+    ranges = np.where(is_return, scan.ranges, np.nan).astype(np.float64)
+    # Of each return and its neighbours before and after, those of a closed scan around its end.
+    after = (np.roll(scan.bearings, -1) - scan.bearings) % math.tau
+    before = np.roll(after, 1)
+    q = 1.0 / ranges
+    q_before, q_after = np.roll(q, 1), np.roll(q, -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share_before, share_after = np.sin(after) / np.sin(before + after), np.sin(before) / np.sin(before + after)
+        slope = (q_after - q_before) / (before + after)
+        variance = np.zeros(len(q))
+        for weight, value in ((share_before, q_before), (1.0, q), (share_after, q_after)):
+            variance += weight * weight * ((noise.range_m * value * value) ** 2 + (noise.bearing_rad * slope) ** 2)
+        off = np.abs(share_before * q_before + share_after * q_after - q)
+        is_straight = (before + after < math.pi) & (off <= SIGNIFICANT * np.sqrt(variance))
+    if not scan.closed:
+        is_straight[[0, -1]] = False
+    points = ranges[:, None] * np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)])
+    gaps = np.stack([points, np.roll(points, -1, axis=0)], axis=1)
+    length = np.linalg.norm(gaps[:, 1] - gaps[:, 0], axis=1)
+    is_gap = (is_straight | np.roll(is_straight, -1)) & (shortest_m < length) & (length < longest_m)
+    if not scan.closed:
+        is_gap[-1] = False
+    return np.asarray(scan.T_robot_laser @ gaps[is_gap])

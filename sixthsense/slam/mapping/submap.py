@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.slam.mapping.changes import SHIFT, Box, box_of
+from sixthsense.slam.mapping.changes import SHIFT, TILE, Box, box_of
 from sixthsense.slam.mapping.evidence import MOST_RETURNS, Cells, EvidenceRules, Ints, Offsets, Tiles
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -30,21 +30,16 @@ class Submap(NamedTuple):
     """(N, 3) the returns, and the offset of their mean from the cell's centre, as of `Cells`"""
 
     @classmethod
-    def of(
-        cls, cells: NDArray[np.int64], hits: Ints, passes: Ints, seen: Bools, places: Offsets | None = None
-    ) -> Submap:
-        """The submap of (N,) cells, none of them twice; without `places` obstacles are at their cells' centres."""
-        if places is None:
-            places = np.zeros((len(cells), 3), dtype=np.int16)
-        return cls(cells, hits, passes, seen, places)
-
-    @classmethod
-    def from_tiles(cls, tiles: Tiles) -> Submap:
+    def of(cls, tiles: Tiles) -> Submap:
         """All evidence of a grid's tiles, row by row."""
-        (slots, cells), kept = tiles.touched(), tiles.cells
-        hits = kept.hits[slots].astype(np.int32)
+        kept = tiles.cells
+        slots = np.flatnonzero((kept.hits > 0) | kept.seen)  # what is passed is seen
+        within = np.stack([(slots >> SHIFT) & (TILE - 1), slots & (TILE - 1)], axis=1)
+        cells = tiles.squares[slots >> (2 * SHIFT)] * TILE + np.array(tiles.first) + within
+        order = np.lexsort((cells[:, 1], cells[:, 0]))
+        slots, cells = slots[order], cells[order]
         places = np.stack([kept.returns[slots], kept.down[slots], kept.across[slots]], axis=1).astype(np.int16)
-        return cls(cells, hits, kept.passes[slots], kept.seen[slots], places)
+        return cls(cells, kept.hits[slots].astype(np.int32), kept.passes[slots], kept.seen[slots], places)
 
     @property
     def box(self) -> Box:

@@ -54,16 +54,14 @@ def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
     box = grid.box
     for name in ("hits", "passes", "seen", "obstacles"):
         assert np.array_equal(grid.part(name, box), other.part(name, box))
-    for wrong in ({"hits": grid.hits[1:]}, {"origin": (math.nan, 0.0)}):
-        counts = {"origin": grid.origin, "hits": grid.hits, "passes": grid.passes, "seen": grid.seen, **wrong}
-        with pytest.raises(ValueError, match=r"allowed: finite numbers|expected one shape"):
-            Grid.from_counts(CONFIG, 0.11, **counts)
 
 
 def test_old_evidence_is_that_of_three_scans_with_the_same_obstacles_and_free_cells():
     cells, hits = np.array([[2, 3], [2, 4], [-1, 7], [5, 5]]), np.array([20, 2, 9, 0], np.int32)
     passes = np.array([40, 3, 30, 6], np.int32)
-    found = Submap.of(cells, hits, passes, np.ones(4, bool)).weakened(EvidenceRules(1, 40, 2.5))
+    found = Submap(cells, hits, passes, np.ones(4, bool), np.zeros((4, 3), np.int16)).weakened(
+        EvidenceRules(1, 40, 2.5)
+    )
     assert found.hits.tolist() == [3, 2, 3, 0]
     assert found.passes.tolist() == [6, 3, 8, 1]  # two per hit; as it was; free, by one more than 7; free
     assert not found.seen.any() and found.box == Box(-1, 3, 6, 8)
@@ -86,11 +84,11 @@ def test_places_are_free_if_all_cells_around_them_are_seen_and_none_is_an_obstac
     assert 4 < is_free.sum() < 296
 
 
-def test_a_box_that_must_grow_grows_by_a_tile_and_a_quarter_of_its_extent_at_least():
+def test_a_box_that_must_grow_grows_by_a_tile_more():
     box = Box(-100, 20, 900, 220)
-    assert grown_box(box, np.array([-90.0, 30.0]), np.array([900.0, 220.0])) is box
+    assert grown_box(box, np.array([-90.0, 30.0]), np.array([900.0, 220.0])) == box
     assert grown_box(box, np.array([-90.0, 10.0]), np.array([800.0, 200.0])) == Box(-100, 10 - TILE, 900, 220)
-    assert grown_box(box, np.array([-90.0, 30.0]), np.array([1100.0, 230.0])) == Box(-100, 20, 1100 + 300, 230 + TILE)
+    assert grown_box(box, np.array([-90.0, 30.0]), np.array([1100.0, 230.0])) == Box(-100, 20, 1100 + TILE, 230 + TILE)
     with pytest.raises(InputError, match=r"within 2\^48 of the origin"):
         cell_box(np.array([2.0**48 - 8.0, 3.0]), np.array([2.0**48 + 8.0, 9.0]))
     begun = grown_box(Box(0, 0, 0, 0), np.array([3.0, 5.0]), np.array([40.0, 30.0]))

@@ -221,7 +221,7 @@ def test_the_nearest_free_place_is_the_nearest(seed: int) -> None:
             assert np.linalg.norm(found - point) == pytest.approx(min(distances), abs=1e-12)
         else:
             assert found is None
-    assert space.nearest_free(space.centre(6, 7), math.inf) is not None
+    assert space.nearest_free(space.centre(6, 7), 100.0) is not None
 
 
 def test_a_space_extended_to_cover_points_keeps_its_cells_where_they_were() -> None:

@@ -167,7 +167,8 @@ def random_submap(rng: np.random.Generator) -> Submap:
     cells = np.argwhere(rng.random((20, 30)) < 0.4) + np.array([-5, 7])
     count = len(cells)
     hits = (rng.integers(0, 4, count) * rng.integers(0, 2, count)).astype(np.int32)
-    return Submap.of(cells, hits, rng.integers(0, 30, count).astype(np.int32), rng.random(count) < 0.8)
+    passes, seen = rng.integers(0, 30, count).astype(np.int32), rng.random(count) < 0.8
+    return Submap(cells, hits, passes, seen, np.zeros((count, 3), np.int16))
 
 
 def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
