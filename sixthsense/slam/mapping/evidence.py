@@ -64,7 +64,7 @@ class Cells(NamedTuple):
     returns: NDArray[np.uint8]
     """returns in the cell, up to `MOST_RETURNS`"""
     down: Offsets
-    """rows from the cell's centre to the mean of these returns, times `OFFSET`; without any to a fitted wall"""
+    """rows from the cell's centre to the mean of these returns, times `OFFSET`"""
     across: Offsets
     """the same of columns"""
 
@@ -188,8 +188,6 @@ class ScanCells(NamedTuple):
     """(2 W, 2) both ends of each fitted wall"""
     end_points: Array
     """(N, 2) where each beam ends, row and col from the centre of the cell (0, 0), in cells"""
-    wall_points: Array
-    """(2 W, 2) both ends of each fitted wall in the same way"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -234,19 +232,6 @@ def _add_return(cells: Cells, cell: int, down: float, across: float) -> None:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _nearest_on_wall(wall: Array, row: int, col: int) -> tuple[float, float]:
-    """The offset from a cell's centre to the nearest point of a wall (2, 2) that is within the cell."""
-    down, across = wall[1, 0] - wall[0, 0], wall[1, 1] - wall[0, 1]
-    length_sq = down * down + across * across
-    share = 0.0
-    if length_sq > 0.0:
-        share = ((row - wall[0, 0]) * down + (col - wall[0, 1]) * across) / length_sq
-        share = min(max(share, 0.0), 1.0)
-    to_row, to_col = wall[0, 0] + share * down - row, wall[0, 1] + share * across - col
-    return min(max(to_row, -0.5), 0.5), min(max(to_col, -0.5), 0.5)
-
-
-@numba.njit(cache=True, error_model="numpy")
 def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, rules: EvidenceRules) -> None:
     """Count one scan in the tiles of `index`.
 
@@ -266,9 +251,6 @@ def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, rules: 
         for k in range(len(line)):
             cell = slot(index, line[k, 0], line[k, 1])
             _hit(cells, cell, hit, rules)
-            if cells.returns[cell] == 0:
-                down, across = _nearest_on_wall(scan.wall_points[j : j + 2], line[k, 0], line[k, 1])
-                cells.down[cell], cells.across[cell] = round(OFFSET * down), round(OFFSET * across)
     for i in range(len(ends)):
         line = line_cells(laser[0], laser[1], ends[i, 0], ends[i, 1])
         for k in range(len(line) - 1 if returned[i] else len(line)):

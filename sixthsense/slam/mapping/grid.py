@@ -31,7 +31,6 @@ from sixthsense.slam.mapping.evidence import (
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.slam.mapping.submap import Submap, add_submap
 
-__all__ = ["FreeSpace", "Grid"]
 
 _MOST_CELLS = 1000
 """of a robot's radius and clearance; a larger disc takes longer to draw than a robot takes to drive"""
@@ -109,7 +108,7 @@ class Grid:
         box = box_of(cells.astype(np.int64))
         tiles, n = self._tiles, 1 + len(ends)
         local, exact = cells.astype(np.int64) - tiles.first, points - tiles.first - 0.5
-        touched = ScanCells(local[0], local[1:n], returned, local[n:], exact[1:n], exact[n:])
+        touched = ScanCells(local[0], local[1:n], returned, local[n:], exact[1:n])
         try:
             tiles.allocate(tiles.touched_by([box]))
         except InputError:
