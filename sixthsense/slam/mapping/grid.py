@@ -31,7 +31,6 @@ from sixthsense.slam.mapping.evidence import (
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.slam.mapping.submap import Submap, add_submap
 
-
 _MOST_CELLS = 1000
 """of a robot's radius and clearance; a larger disc takes longer to draw than a robot takes to drive"""
 
