@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
@@ -153,19 +153,3 @@ def near_walls(walls: Array, reach_m: float) -> Callable[[float, float], Array]:
         return near
 
     return at
-
-
-def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:
-    """Ranges as `cast_rays` returns them, and (N,) the index of the wall that each beam hits, -1 for none.
-
-    Where two walls are hit at the same distance, the first is taken.
-    """
-    first, last = (T_world_laser.inverse() @ walls[:, k] for k in (0, 1))
-    (ax, ay), (ex, ey), beams = first.T, (last - first).T, beams_of(bearings[:, None])
-    with np.errstate(divide="ignore", invalid="ignore"):  # a wall along a beam is not hit
-        inverse = 1.0 / (beams.cos * ey - beams.sin * ex)
-        t, u = (ax * ey - ay * ex) * inverse, (ax * beams.sin - ay * beams.cos) * inverse
-        is_hit = (t >= 0.0) & (u >= -_JOIN) & (u <= 1.0 + _JOIN) & (t < max_range)
-    ranges = np.where(is_hit, t, np.inf)
-    nearest = ranges.min(axis=1, initial=np.inf)
-    return nearest, np.where(nearest < np.inf, ranges.argmin(axis=1) if len(walls) else -1, -1)

@@ -7,7 +7,7 @@ import pytest
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, Sweep, beam_bearings
-from sixthsense.core.ray_casting import cast_rays, hit_walls
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.returns import NO_BEAM
 
 
@@ -49,20 +49,6 @@ def test_beams_in_any_order_hit_a_wall_on_which_the_laser_stands_or_at_whose_end
             assert np.allclose(found, expected, atol=1e-9, rtol=0)
             every = cast_rays(pose, bearings, walls, 5.0)
             assert (every <= found).all()
-
-
-def test_the_wall_that_a_beam_hits_is_the_only_one_at_its_range():
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        walls = rng.uniform(-6, 6, (12, 2, 2))
-        pose = Pose(*rng.uniform(-4, 4, 2), rng.uniform(-3, 3))
-        bearings = rng.uniform(-math.pi, math.pi, 40)
-        ranges, index = hit_walls(pose, bearings, walls, 5.0)
-        expected = cast_rays(pose, bearings, walls, 5.0)
-        assert np.array_equal(index < 0, np.isinf(expected)) and np.allclose(ranges, expected, rtol=1e-12)
-        for i in np.flatnonzero(index >= 0):
-            alone = cast_rays(pose, bearings[i : i + 1], walls[index[i]][None], 5.0)
-            assert alone[0] == pytest.approx(expected[i], abs=1e-9)
 
 
 def test_no_ray_leaks_through_the_joint_of_two_walls():
