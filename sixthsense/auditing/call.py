@@ -5,25 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from sixthsense.auditing.mistakes import WRONG, of_errors, of_poses
 from sixthsense.auditing.opening import Options, Order, Source, open_estimate, open_truth
-from sixthsense.auditing.pairing import (
-    Align,
-    Errors,
-    aligned,
-    check_is_not_the_truth,
-    errors_of,
-    paired,
-)
+from sixthsense.auditing.pairing import Align, Errors, aligned, check_is_not_the_truth, errors_of, paired
 from sixthsense.auditing.pairs import pair_findings
 from sixthsense.auditing.poses import Frame, Poses
 from sixthsense.auditing.result import Audit
 from sixthsense.auditing.scores import TrajectoryErrors, pooled, trajectory_errors
 from sixthsense.auditing.statistics import AXES, findings, is_other_frame
 from sixthsense.config.errors import InputError
-
-_FRAMES = {"world": "the world's axes, rotations about fixed axes", "body": "the body's axes"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,23 +97,24 @@ def _judged(runs: list[_Compared], options: Options, is_pair: bool = False) -> A
     """The audit of runs beside their truths, which are pooled, or of two systems."""
     align: Align = options.align or ("all" if is_pair else "none")
     first, several = runs[0].estimate, len(runs) > 1
-    own = [run.errors for run in runs]
+    own, others = [run.errors for run in runs], [run.other for run in runs]
     if len({run.error.shape[1] for run in own}) > 1:
         raise InputError("estimate", "found runs in the plane and in space", "all in one of them")
     read: Frame = first.frame or "world"
+    other: Frame = "body" if read == "world" else "world"
     found = findings(own, align, read)
     notes = [f"{run.estimate.name}: {note}" if several else note for run in runs for note in run.notes]
-    if not is_pair and is_other_frame(own, [run.other for run in runs]):
-        other: Frame = "body" if read == "world" else "world"
-        nees = findings([run.other for run in runs], align, other).pose.nees
-        notes.append(
-            f"the NEES depends on the heading: the covariances may have the axes of the {other}, where the NEES is "
-            f"{nees:.3g} (frame {other})"
-        )
+    if not is_pair and is_other_frame(own, others):
+        nees = f"{findings(others, align, other).pose.nees:.3g} (frame {other})"
+        told = f"the covariances may have the axes of the {other}, where the NEES is {nees}"
+        notes.append(f"the NEES depends on the heading: {told}")
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
     trajectory = None if is_pair else pooled([(len(run.truth), run.trajectory) for run in runs])
     judged = pair_findings(found, own[0]) if is_pair else None
-    words = _read_as(first, read, found.pose.dof, options)
+    axes, dof = "the world's axes, rotations about fixed axes" if read == "world" else "the body's axes", found.pose.dof
+    origin = " (the convention of ROS)" if options.frame is None and first.frames[0] else ""
+    space = f"SE({2 if dof == 3 else 3}): {', '.join(AXES[read, dof])}"
+    words = f"in {axes}{origin}; {options.order} first; {space}"
     return Audit(found, tuple(own), read, align, words, (names[0], names[1]), tuple(notes), trajectory, judged)
 
 
@@ -132,16 +125,15 @@ def _matched(
 ) -> list[tuple[Source, Source | None, Path | None]]:
     """Each estimate with its truth and its file of covariances; InputError for another number of them."""
     estimates: Sequence[Source] = estimate if isinstance(estimate, list) else [estimate]
-    truths: Sequence[Source | None] = truth if isinstance(truth, list) else [truth] * (truth is not None)
-    files = covariance if isinstance(covariance, list) else [] if covariance is None else [covariance]
     if not estimates:
         raise InputError("estimate", "found none", "one or more")
-    for name, count in (("truth", len(truths)), ("covariance", len(files))):
-        if count not in (0, len(estimates)):
-            raise InputError(name, f"found {count} for {len(estimates)} estimates", "one for each, in order")
-    nothing = [None] * len(estimates)
-    paths = [Path(file) for file in files]
-    return list(zip(estimates, truths or nothing, paths or nothing, strict=True))
+    columns: list[list[Any]] = []
+    for name, given in (("truth", truth), ("covariance", covariance)):
+        each = given if isinstance(given, list) else [given] * (1 if given is not None else len(estimates))
+        if len(each) != len(estimates):
+            raise InputError(name, f"found {len(each)} for {len(estimates)} estimates", "one for each, in order")
+        columns.append(each)
+    return [(one, true, file and Path(file)) for one, true, file in zip(estimates, *columns, strict=True)]
 
 
 def _beside_truth(source: Source, true: Source | None, covariance: Path | None, options: Options) -> _Compared:
@@ -183,10 +175,3 @@ def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options)
     wrong = [f"{WRONG}: {mistake}" for mistake in of_errors(own)] if truth.covs is None else []
     notes = (*pair.notes, *of_poses(pair, align), *wrong)
     return _Compared(estimate, pair.truth, own, other, trajectory_errors(pair), notes)
-
-
-def _read_as(estimate: Poses, frame: Frame, dof: int, options: Options) -> str:
-    """How the covariances were read: whose axes, and which half is first."""
-    space = f"SE({2 if dof == 3 else 3}): {', '.join(AXES[frame, dof])}"
-    origin = " (the convention of ROS)" if options.frame is None and estimate.frames[0] else ""
-    return f"in {_FRAMES[frame]}{origin}; {options.order} first; {space}"

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sixthsense.auditing import rotations
 from sixthsense.auditing.pairing import Align, Errors, Pair
-from sixthsense.auditing.poses import Poses, is_of_plane
+from sixthsense.auditing.poses import POSITION, Poses, is_of_plane
 from sixthsense.auditing.scores import fitted, rms
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation.metrics import has_full_rank
@@ -25,7 +24,6 @@ _FEWEST = 20  # poses and ways
 _FITS, _UNLIKE = 0.2, 0.5  # share of the spread or of the errors that remains: one cause, other drives
 _SCALE, _TURNED_RAD, _STEADY = 1.2, math.radians(10.0), 0.9  # of units and axes that are worth a word
 _NEAR = 1.5  # times: the errors over what a mistake would make of them
-_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def of_estimate(poses: Poses) -> Iterator[str]:
@@ -37,17 +35,16 @@ def of_estimate(poses: Poses) -> Iterator[str]:
         stated = np.einsum("kii->ki", poses.covs).any(axis=0)
         swapped = stated.tolist() == [False, False, True, True, True, False]
         if swapped:
-            names = ", ".join(itertools.compress(_AXES, stated))
-            yield f"only the variances of {names} are stated, as with the rotation first on a floor (order rotation)"
+            yield "only the variances of z, roll, pitch are stated, as with the rotation first (order rotation)"
     covs = (poses.in_plane() if not poses.is_planar and is_of_plane(poses) else poses).covs
     assert covs is not None
-    n = 2 if covs.shape[1] == 3 else 3
+    n = POSITION[covs.shape[1]]
     largest = np.sqrt(np.maximum(np.einsum("kii->ki", covs)[:, n:].max(axis=1), 0.0))
     if (beyond := int(np.sum(largest > UNIFORM_RAD))) and not swapped:
-        yield (
-            f"{beyond:,} of {count:,} poses have a rotation of sigma above {UNIFORM_RAD:.2f} rad, that of an unknown "
-            f"direction, up to {largest.max():.3g}: in degrees, or of the other order?"
+        above = (
+            f"a rotation of sigma above {UNIFORM_RAD:.2f} rad, that of an unknown direction, up to {largest.max():.3g}"
         )
+        yield f"{beyond:,} of {count:,} poses have {above}: in degrees, or of the other order?"
     defective = ~has_full_rank(covs)
     defective[0] &= covs[0].any()  # where its frame begins, a map knows the robot exactly
     if (singular := int(np.sum(defective))) and not swapped:
@@ -57,7 +54,7 @@ def of_estimate(poses: Poses) -> Iterator[str]:
 def of_errors(errors: Errors) -> Iterator[str]:
     """A line for covariances in another unit than the errors: variances in degrees², or of headings, or sigmas."""
     variances, squares = np.einsum("kii->ki", errors.cov).mean(axis=0), (errors.error**2).mean(axis=0)
-    n = errors.orientations.shape[1]
+    n = POSITION[errors.error.shape[1]]
     ratios = np.sqrt(squares / variances)
     place, turn = ratios[:n].mean(), ratios[n:].mean() / max(ratios[:n].mean(), 1e-12)
     alike = (squares < _NEAR**2 * variances**2) & (variances**2 < _NEAR**2 * squares)
@@ -71,8 +68,9 @@ def of_errors(errors: Errors) -> Iterator[str]:
 
 def of_columns(pair: Pair) -> str:
     """Which columns of x, y and heading are exchanged, by the truth; empty if they are not."""
-    found = np.column_stack([pair.estimate.positions, np.unwrap(_headings(pair.estimate))])
-    true, spread = pair.truth.positions, rms(pair.truth.positions - pair.truth.positions.mean(axis=0))
+    found = np.column_stack([pair.estimate.positions[:, :2], np.unwrap(pair.estimate.headings)])
+    true = pair.truth.positions[:, :2]
+    spread = rms(true - true.mean(axis=0))
     names = ("x", "y", "theta")
     left = {}
     for order in itertools.permutations(range(3)):
@@ -96,41 +94,33 @@ def of_poses(pair: Pair, align: Align) -> Iterator[str]:
     if exchanged := of_columns(pair):
         yield f"{WRONG}: {exchanged}"
         return
-    found, true = pair.estimate.positions, pair.truth.positions
-    headings = [_headings(pair.estimate), _headings(pair.truth)]
-    spread = rms(true - true.mean(axis=0))
+    found, true = pair.estimate.positions[:, :2], pair.truth.positions[:, :2]
+    headings = pair.estimate.headings, pair.truth.headings
     turn, shift = fitted(found, true)
-    apart = found @ turn.T + shift - true
-    scale = spread / max(rms(found - found.mean(axis=0)), 1e-9)
-    both = f"{pair.estimate.name} and {pair.truth.name}"
-    scaled = found @ turn.T * scale
-    left = rms(scaled - scaled.mean(axis=0) - (true - true.mean(axis=0))) / max(spread, 1e-9)
+    apart_m, own, way = rms(found @ turn.T + shift - true), found - found.mean(axis=0), true - true.mean(axis=0)
+    spread_m = rms(way)
+    scale = spread_m / max(rms(own), 1e-9)
+    left = rms(scale * own @ turn.T - way) / max(spread_m, 1e-9)
+    names = pair.estimate.name, pair.truth.name
     if left > _UNLIKE and (correlation := _correlation(*headings)) < _UNLIKE:
         yield (
-            f"{both} may not be of one drive, or have other clocks: their turns correlate by {correlation:.2f}, "
-            f"and aligned they are {rms(apart):.3g} m apart, where the way has a spread of {spread:.3g} m"
+            f"{' and '.join(names)} may not be of one drive, or have other clocks: their turns correlate by "
+            f"{correlation:.2f}, and aligned they are {apart_m:.3g} m apart, where the way has a spread of "
+            f"{spread_m:.3g} m"
         )
         return
     if left < _FITS and max(scale, 1.0 / scale) > _SCALE:
-        yield f"positions of {pair.truth.name} are {scale:.3g} times those of {pair.estimate.name}: are both in metres?"
+        yield f"positions of {names[1]} are {scale:.3g} times those of {names[0]}: are both in metres?"
         return
-    if align == "none" and rms(apart) < _FITS * rms(found - true):
-        yield (
-            f"the frames differ: aligned by all poses (`align` all) the ATE falls from {rms(found - true):.2f} to "
-            f"{rms(apart):.2f} m"
-        )
+    if align == "none" and apart_m < _FITS * (ate_m := rms(found - true)):
+        falls = f"the ATE falls from {ate_m:.2f} to {apart_m:.2f} m"
+        yield f"the frames differ: aligned by all poses (`align` all) {falls}"
     off = wrap_angle(headings[0] - headings[1] + math.atan2(turn[1, 0], turn[0, 0]))
     mean = complex(np.mean(np.exp(1j * off)))
     if abs(mean) > _STEADY and abs(np.angle(mean)) > _TURNED_RAD:
-        yield (
-            f"headings differ by {math.degrees(np.angle(mean)):.0f}° all along, beside the frames: the two have other "
-            "axes of the body"
-        )
+        differ = f"headings differ by {math.degrees(np.angle(mean)):.0f}° all along, beside the frames"
+        yield f"{differ}: the two have other axes of the body"
     yield from _other_clock(pair, wrap_angle(off - np.angle(mean)), headings[1])
-
-
-def _headings(poses: Poses) -> Array:
-    return np.asarray(rotations.log(poses.orientations)[:, 0])
 
 
 def _correlation(found: Array, true: Array) -> float:
@@ -150,7 +140,5 @@ def _other_clock(pair: Pair, off: Array, headings: Array) -> Iterator[str]:
     left = rms((off + delay * rate)[:, None]) / max(rms(off[:, None]), 1e-12)
     if left < 1.0 - _FITS and abs(delay) > float(np.median(np.diff(seconds))):
         word = "late" if delay > 0.0 else "early"
-        yield (
-            f"stamps of the estimate are about {abs(delay):.2g} s {word}, by the errors of headings in turns "
-            f"(otherwise set `time_offset` {-delay:.2f})"
-        )
+        late = f"stamps of the estimate are about {abs(delay):.2g} s {word}, by the errors of headings in turns"
+        yield f"{late} (otherwise set `time_offset` {-delay:.2f})"

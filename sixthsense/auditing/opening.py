@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from sixthsense.auditing.mistakes import WRONG, of_estimate
 from sixthsense.auditing.pairing import Align
@@ -62,9 +63,12 @@ class Options(Section):
 
 def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:
     """The poses of an estimate, with covariances in the order translation, rotation."""
-    run = _run_of(source)
-    if run is not None:
-        poses = _estimate_of_run(*run)
+    if run := _run_of(source):
+        name, trace = run
+        if not trace.key_estimates:
+            raise InputError(name, "found no keyframe", "a run with estimates")
+        stamps_ns = np.array(trace.key_stamps_ns, dtype=np.int64)
+        poses = replace(poses_from(name, stamps_ns, *key_poses(trace.key_estimates)), frame="world")
     elif isinstance(source, (str, Path)):
         poses = _estimate_of_file(Path(source), covariance, options.topic)
     else:
@@ -80,9 +84,11 @@ def open_estimate(source: Source, covariance: Path | None, options: Options) -> 
 
 def open_truth(source: Source | None, estimate: Poses, of: Source, options: Options) -> Poses:
     """The true poses; without a source those of the run that is audited."""
-    run = _run_of(of if source is None else source)
-    if run is not None:
-        return _truth_of_run(*run)
+    if run := _run_of(of if source is None else source):
+        name, trace = run
+        if not trace.truths:
+            raise InputError(name, "found a run without truth", "a truth from elsewhere")
+        return poses_from(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
     if source is None:
         raise InputError("truth", "found nothing", f"the true poses of {estimate.name}")
     if not isinstance(source, (str, Path)):
@@ -111,11 +117,8 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
         return replace(poses, frame="world", frames=(found.parent, found.child))
     path = _file(path)
     if covariance is None:
-        raise InputError(
-            "covariance",
-            f"found nothing for {path}",
-            "a file with a stamp and 6 or 21 numbers of the upper triangle in each line",
-        )
+        form = "a file with a stamp and 6 or 21 numbers of the upper triangle in each line"
+        raise InputError("covariance", f"found nothing for {path}", form)
     from sixthsense.logs.trajectories import read_covariances, read_trajectory
 
     notes: list[str] = []
@@ -158,19 +161,6 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
     return None
 
 
-def _estimate_of_run(name: str, trace: Trace) -> Poses:
-    if not trace.key_estimates:
-        raise InputError(name, "found no keyframe", "a run with estimates")
-    poses = poses_from(name, np.array(trace.key_stamps_ns, dtype=np.int64), *key_poses(trace.key_estimates))
-    return replace(poses, frame="world")
-
-
-def _truth_of_run(name: str, trace: Trace) -> Poses:
-    if not trace.truths:
-        raise InputError(name, "found a run without truth", "a truth from elsewhere")
-    return poses_from(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
-
-
 def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
     """The poses of a frame in another one, at the stamps of the link that is sent most often."""
     if not all(frames):
@@ -182,14 +172,11 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
     stamps = max(moving, key=len).stamps_ns
     first, last = max(link.stamps_ns[0] for link in moving), min(link.stamps_ns[-1] for link in moving)
     stamps = stamps[(stamps >= first) & (stamps <= last)]
-    position, turn = np.zeros((len(stamps), 3)), np.broadcast_to(np.eye(3), (len(stamps), 3, 3))
+    position, turns = np.zeros((len(stamps), 3)), Rotation.identity()
     for link in links:
-        if len(link) > 1:
-            place, own = interpolated(link, stamps)
-        else:
-            place, own = (np.repeat(part, len(stamps), axis=0) for part in (link.positions, link.orientations))
-        position, turn = position + (turn @ place[:, :, None])[:, :, 0], turn @ own
-    return Poses(f"{path} /tf {' '.join(frames)}", stamps, position, turn)
+        place, own = interpolated(link, stamps) if len(link) > 1 else (link.positions, link.turns)
+        position, turns = position + turns.apply(place), turns * own
+    return Poses(f"{path} /tf {' '.join(frames)}", stamps, position, turns)
 
 
 def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:

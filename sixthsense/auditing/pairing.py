@@ -7,17 +7,19 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from sixthsense.auditing import rotations
-from sixthsense.auditing.poses import Frame, Poses, Stamps, interpolated, is_of_plane, tilted
+from sixthsense.auditing.poses import ROWS, Frame, Poses, Stamps, axes, interpolated, same_space, turned
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import seconds
 from sixthsense.evaluation.metrics import has_full_rank, squares
 
 Align = Literal["none", "all"]
-Motion = tuple[Array, Array]
-"""rotation (n, n) and shift (n,): x -> R x + t"""
+Motion = tuple[Rotation, Array]
+"""rotation and shift (3,): x -> R x + t"""
+STILL: Motion = Rotation.identity(), np.zeros(3)
+"""the motion of an estimate that is in the frame of the truth"""
 
 _GAP = 3.0
 """Longest time between two true poses that are interpolated, in median intervals: beyond it some are missing."""
@@ -51,8 +53,8 @@ class Errors:
     """(N, d) estimate minus truth, translation first, the rotation as a vector"""
     cov: Array
     """(N, d, d)"""
-    orientations: Array
-    """(N, n, n) estimated, from the axes of the body to those of the world"""
+    turns: Rotation
+    """N estimated ones, from the axes of the body to those of the world"""
     of_estimate: Array | None = None
     """(N, d, d) part of the covariance that is the estimate's own: another estimate has one, too"""
 
@@ -65,21 +67,8 @@ class Errors:
         """Errors (N, d) and covariances (N, d, d) in the axes of the world or of the body."""
         if frame == "world":
             return self.error, self.cov
-        axes = rotations.transposed(rotations.axes(self.orientations))
-        return (axes @ self.error[:, :, None])[:, :, 0], axes @ self.cov @ rotations.transposed(axes)
-
-
-def same_space(estimate: Poses, truth: Poses) -> tuple[Poses, Poses, list[str]]:
-    """Both in the plane or both in space, and a note that says why it is the plane."""
-    reason = is_of_plane(estimate) or (is_of_plane(truth) if truth.covs is not None else "")
-    if not reason and truth.is_planar:
-        reason = "the truth is planar"
-    if not reason:
-        return estimate, truth, []
-    note = [] if estimate.is_planar else [f"audited as SE(2), x, y and heading: {reason}"]
-    for one in (estimate, truth):
-        note += [] if one.is_planar else tilted(one.name, one.orientations)
-    return estimate.in_plane(), truth.in_plane(), note
+        back = self.turns.inv()
+        return (axes(back, len(self.cov[0])) @ self.error[:, :, None])[:, :, 0], turned(self.cov, back)
 
 
 def paired(estimate: Poses, truth: Poses) -> Pair:
@@ -115,7 +104,8 @@ def paired(estimate: Poses, truth: Poses) -> Pair:
         (int(np.sum(known & ~defined)), "with a covariance that is zero or singular, whose NEES is not defined"),
     ):
         notes += [f"left out: {count:,} of {len(estimate):,} poses {why}"] if count else []
-    if used.any() and (bend_m := _bend(truth)) > _BENT * _sigma(estimate.covs[used]):
+    variances = estimate.covs[used][:, (0, 1), (0, 1)]
+    if used.any() and (bend_m := _bend(truth)) > _BENT * float(np.sqrt(np.median(variances))):
         beside = _beside(at, true_ns, nearest, used)
         note = f"the truth bends by {bend_m:.2g} m between its poses, every {seconds(np.median(gaps)):.3g} s"
         if beside.any():
@@ -128,9 +118,9 @@ def paired(estimate: Poses, truth: Poses) -> Pair:
             "found no pose beside the truth whose covariance has full rank",
             f"covariances of {'x, y and heading' if estimate.is_planar else 'all six axes'}",
         )
-    positions, orientations = interpolated(truth, at[used])
+    positions, turns = interpolated(truth, at[used])
     covs = None if truth.covs is None else truth.covs[nearest[used]]
-    there = replace(truth, stamps_ns=at[used], positions=positions, orientations=orientations, covs=covs)
+    there = replace(truth, stamps_ns=at[used], positions=positions, turns=turns, covs=covs)
     return Pair(estimate.part(used), there, tuple(notes))
 
 
@@ -145,11 +135,6 @@ def _bend(truth: Poses) -> float:
     return 0.25 * float(np.sqrt(np.mean(np.sum((inner - truth.positions[1:-1:2]) ** 2, axis=1))))
 
 
-def _sigma(covs: Array) -> float:
-    """Median of the stated sigma of a position's coordinate, metres."""
-    return float(np.sqrt(np.median(covs[:, (0, 1), (0, 1)])))
-
-
 def _beside(at: Stamps, true_ns: Stamps, nearest: NDArray[np.int64], used: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(N,) the used pose nearest to each true one, closer than a twentieth of the interval."""
     off = np.where(used, np.abs(at - true_ns[nearest]), np.iinfo(np.int64).max)
@@ -162,30 +147,32 @@ def _beside(at: Stamps, true_ns: Stamps, nearest: NDArray[np.int64], used: NDArr
 
 def aligned(pair: Pair, align: Align, frame: Frame) -> Motion:
     """The motion of the estimate onto the truth: none, or that with the least sum of NEES, by Gauss-Newton."""
-    n = pair.truth.positions.shape[1]
     if align == "none":
-        return np.eye(n), np.zeros(n)
-    turn = pair.truth.orientations[0] @ pair.estimate.orientations[0].T
-    shift = pair.truth.positions[0] - turn @ pair.estimate.positions[0]
+        return STILL
+    turn = pair.truth.turns[0] * pair.estimate.turns[0].inv()
+    shift = pair.truth.positions[0] - turn.apply(pair.estimate.positions[0])
     for _ in range(_MOST_STEPS):
         found = errors_of(pair, (turn, shift), frame)
-        places = pair.estimate.positions @ turn.T + shift
+        places = turn.apply(pair.estimate.positions) + shift
         centre = places.mean(axis=0)
-        carry = rotations.levers(places - centre)
+        rows = ROWS[found.error.shape[1]]
+        carry = np.tile(np.eye(6), (len(places), 1, 1))  # a step of the motion about the centre to each pose
+        carry[:, :3, 3:] = np.cross(np.eye(3), (places - centre)[:, None]).transpose(0, 2, 1)
+        carry = carry[:, rows][:, :, rows]
         weighted = np.linalg.solve(found.cov, np.concatenate([carry, found.error[:, :, None]], axis=2))
         sums = np.einsum("kij,kil->jl", carry, weighted)
-        step = -np.linalg.solve(sums[:, :-1], sums[:, -1])
-        by = rotations.exp(step[None, n:])[0]
-        turn, shift = by @ turn, by @ (shift - centre) + centre + step[:n]
-        if step @ sums[:, :-1] @ step < 1e-8:  # squared, in sigmas of the alignment
+        step = np.zeros(6)
+        step[rows] = -np.linalg.solve(sums[:, :-1], sums[:, -1])
+        by = Rotation.from_rotvec(step[3:])
+        turn, shift = by * turn, by.apply(shift - centre) + centre + step[:3]
+        if step[rows] @ sums[:, :-1] @ step[rows] < 1e-8:  # squared, in sigmas of the alignment
             break
     return turn, shift
 
 
 def check_is_not_the_truth(pair: Pair) -> None:
     """Raise InputError for an estimate without errors: somebody has given the same poses twice."""
-    n = pair.truth.positions.shape[1]
-    if np.abs(errors_of(pair, (np.eye(n), np.zeros(n)), "world").error).max() <= _SAME:
+    if np.abs(errors_of(pair, STILL, "world").error).max() <= _SAME:
         raise InputError("truth", f"found the poses of the estimate, {pair.estimate.name}", "the true ones")
 
 
@@ -195,14 +182,12 @@ def errors_of(pair: Pair, motion: Motion, frame: Frame) -> Errors:
     They are in the axes of the truth's world: the rotation's is the vector of R_estimate R_truth^T.
     """
     turn, shift = motion
-    estimate, covs = pair.estimate, pair.estimate.covs
+    estimate, truth, covs = pair.estimate, pair.truth, pair.estimate.covs
     assert covs is not None
-    orientations = turn @ estimate.orientations
-    places = estimate.positions @ turn.T + shift - pair.truth.positions
-    turned = rotations.log(orientations @ rotations.transposed(pair.truth.orientations))
-    axes = rotations.axes(orientations if frame == "body" else turn[None])
-    cov = own = axes @ covs @ rotations.transposed(axes)
-    if pair.truth.covs is not None:
-        beside = rotations.axes(pair.truth.orientations if pair.truth.frame == "body" else np.eye(len(shift))[None])
-        cov = own + beside @ pair.truth.covs @ rotations.transposed(beside)
-    return Errors(estimate.stamps_ns, np.concatenate([places, turned], axis=1), cov, orientations, of_estimate=own)
+    turns = turn * estimate.turns
+    places = turn.apply(estimate.positions) + shift - truth.positions
+    error = np.column_stack([places, (turns * truth.turns.inv()).as_rotvec()])[:, ROWS[covs.shape[1]]]
+    cov = own = turned(covs, turns if frame == "body" else turn)
+    if truth.covs is not None:
+        cov = own + (turned(truth.covs, truth.turns) if truth.frame == "body" else truth.covs)
+    return Errors(estimate.stamps_ns, error, cov, turns, of_estimate=own)

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
-from sixthsense.auditing import rotations
 from sixthsense.config.errors import InputError
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Array
@@ -18,8 +18,10 @@ from sixthsense.core.source import seconds
 Frame = Literal["world", "body"]
 Stamps = NDArray[np.int64]
 
-PLANE = (0, 1, 5)
-"""x, y and yaw of x y z roll pitch yaw"""
+ROWS = {3: [0, 1, 5], 6: [0, 1, 2, 3, 4, 5]}
+"""what an error of this size has of x y z roll pitch yaw"""
+POSITION = {3: 2, 6: 3}
+"""axes of the position, which are the first, by the size of an error"""
 _BESIDE = (2, 3, 4)
 _TILTED = 0.5  # cosine
 
@@ -33,9 +35,11 @@ class Poses:
     stamps_ns: Stamps
     """(N,)"""
     positions: Array
-    """(N, n), metres, n = 2 or 3"""
-    orientations: Array
-    """(N, n, n) rotation matrices, from the body's axes to those of the world"""
+    """(N, 3), metres; z is 0 in the plane"""
+    turns: Rotation
+    """N rotations from the body's axes to those of the world"""
+    is_planar: bool = False
+    """whether the poses are of the plane"""
     covs: Array | None = None
     """(N, d, d), d = 3 or 6, translation first; None for a truth"""
     frame: Frame | None = None
@@ -48,28 +52,25 @@ class Poses:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    @property
+    def headings(self) -> Array:
+        """(N,) radians."""
+        return heading(self.turns)
+
     def part(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Poses:
         """Some of the poses."""
         covs = None if self.covs is None else self.covs[rows]
         return replace(
-            self, stamps_ns=self.stamps_ns[rows], positions=self.positions[rows],
-            orientations=self.orientations[rows], covs=covs,
-        )  # fmt: skip
-
-    @property
-    def is_planar(self) -> bool:
-        """Whether the poses are of the plane."""
-        return bool(self.positions.shape[1] == 2)
+            self, stamps_ns=self.stamps_ns[rows], positions=self.positions[rows], turns=self.turns[rows], covs=covs
+        )
 
     def in_plane(self) -> Poses:
         """x, y and heading, with their covariances."""
-        if self.is_planar:
-            return self
         covs = self.covs
         if covs is not None and covs.shape[1] == 6:
-            covs = covs[:, PLANE][:, :, PLANE]
-        turn = rotations.exp(rotations.yaw(self.orientations)[:, None])
-        return replace(self, positions=self.positions[:, :2], orientations=turn, covs=covs)
+            covs = covs[:, ROWS[3]][:, :, ROWS[3]]
+        turns = Rotation.from_rotvec(np.outer(self.headings, (0.0, 0.0, 1.0)))
+        return replace(self, positions=self.positions * (1.0, 1.0, 0.0), turns=turns, is_planar=True, covs=covs)
 
 
 def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = None) -> Poses:
@@ -78,13 +79,16 @@ def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = 
     Of poses with the same stamp the first is kept; a note counts those that differ. Raises InputError if that is most
     of them: then stamps are rounded.
     """
-    if poses.shape[1:] == (3,):
-        positions, turns = poses[:, :2], rotations.exp(poses[:, 2:])
-    elif poses.shape[1:] == (7,):
-        positions, turns = poses[:, :3], rotations.of_quaternions(poses[:, 3:])
+    is_planar = poses.shape[1] == 3
+    if poses.shape[1:] == (7,):
+        positions, turns = poses[:, :3], Rotation.from_quat(poses[:, 3:])
+    elif is_planar:
+        matrix = poses.ndim == 3
+        places = poses[:, :2, 2] if matrix else poses[:, :2]
+        angles = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) if matrix else poses[:, 2]
+        positions, turns = np.pad(places, ((0, 0), (0, 1))), Rotation.from_rotvec(np.outer(angles, (0.0, 0.0, 1.0)))
     else:
-        n = poses.shape[1] - 1
-        positions, turns = poses[:, :n, n], poses[:, :n, :n]
+        positions, turns = poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3])
     stamps, order, kept = np.unique(stamps_ns, return_index=True, return_inverse=True)
     differ = np.flatnonzero((poses != poses[order[kept]]).reshape(len(poses), -1).any(axis=1))
     if 2 * len(differ) > len(poses):
@@ -95,7 +99,25 @@ def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = 
         at_s = seconds(int(stamps_ns[differ[0]]))
         count = f"{len(differ):,} poses have the stamp of another one"
         notes = [f"{name}: {count}, the first at {at_s:.6f} s: the first of each stamp is kept"]
-    return Poses(name, stamps_ns, positions, turns, covs, notes=tuple(notes)).part(order)
+    return Poses(name, stamps_ns, positions, turns, is_planar, covs, notes=tuple(notes)).part(order)
+
+
+def heading(turns: Rotation) -> Array:
+    """(N,) angles of the body's x axis about the world's z axis, radians."""
+    ahead = turns.apply((1.0, 0.0, 0.0))
+    return np.arctan2(ahead[:, 1], ahead[:, 0])
+
+
+def axes(turns: Rotation, size: int) -> Array:
+    """Matrices (N, size, size), or one, that turn an error of a pose, translation first."""
+    rows = ROWS[size]
+    return np.asarray(np.kron(np.eye(2), turns.as_matrix())[..., rows, :][..., rows])
+
+
+def turned(covs: Array, turns: Rotation) -> Array:
+    """Covariances (N, d, d) after N rotations, or one."""
+    by = axes(turns, covs.shape[1])
+    return np.asarray(by @ covs @ np.swapaxes(by, -1, -2))
 
 
 def is_of_plane(poses: Poses) -> str:
@@ -109,21 +131,31 @@ def is_of_plane(poses: Poses) -> str:
         return "its covariances are of x, y and heading"
     if not poses.covs[:, _BESIDE, _BESIDE].any():
         return "the variances of z, roll and pitch are zero"
-    level = np.abs(poses.orientations[:, 2, :2]).max() < 1e-9
-    if level and np.ptp(poses.positions[:, 2]) == 0.0:
-        return "z, roll and pitch never change"
-    return ""
+    level = np.abs(poses.turns.as_matrix()[:, 2, :2]).max() < 1e-9
+    return "z, roll and pitch never change" if level and np.ptp(poses.positions[:, 2]) == 0.0 else ""
 
 
-def tilted(name: str, orientations: Array) -> list[str]:
-    """A line for poses of a robot on a floor, (N, 3, 3), whose z axis does not point up."""
-    least = float(orientations[:, 2, 2].min())
+def same_space(estimate: Poses, truth: Poses) -> tuple[Poses, Poses, list[str]]:
+    """Both in the plane or both in space, and notes: why it is the plane, and poses that are tilted there."""
+    reason = is_of_plane(estimate) or (is_of_plane(truth) if truth.covs is not None else "")
+    if not reason and truth.is_planar:
+        reason = "the truth is planar"
+    if not reason:
+        return estimate, truth, []
+    notes = [] if estimate.is_planar else [f"audited as SE(2), x, y and heading: {reason}"]
+    notes += [note for one in (estimate, truth) if not one.is_planar for note in _tilted(one)]
+    return estimate.in_plane(), truth.in_plane(), notes
+
+
+def _tilted(poses: Poses) -> list[str]:
+    """A line for poses of a robot on a floor whose z axis does not point up."""
+    least = float(poses.turns.as_matrix()[:, 2, 2].min())
     if least > _TILTED:
         return []
     angle = math.degrees(math.acos(max(-1.0, least)))
     return [
-        f"{name}: the z axis is tilted by up to {angle:.0f}°: is the order qx qy qz qw, and are the axes those of the "
-        "robot, x ahead and z up?"
+        f"{poses.name}: the z axis is tilted by up to {angle:.0f}°: is the order qx qy qz qw, and are the axes those "
+        "of the robot, x ahead and z up?"
     ]
 
 
@@ -132,25 +164,16 @@ def check_covariances(poses: Poses) -> None:
     covs = poses.covs
     assert covs is not None
     if not covs.any():
-        raise InputError(
-            poses.name,
-            "found covariances that are all zero, by which many drivers say 'unknown'",
-            "covariances that the estimator states",
-        )
+        found = "found covariances that are all zero, by which many drivers say 'unknown'"
+        raise InputError(poses.name, found, "covariances that the estimator states")
     for stamp_ns, cov in zip(poses.stamps_ns, covs, strict=True):
         if fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK):
             found = f"found {fault} in the covariance at {1e-9 * stamp_ns:.6f} s"
             raise InputError(poses.name, found, "symmetric, no eigenvalue below 0")
 
 
-def interpolated(poses: Poses, stamps_ns: Stamps) -> tuple[Array, Array]:
-    """(M, n) positions and (M, n, n) orientations at stamps within those of `poses`; exact at a stamp of a pose."""
-    after = np.clip(np.searchsorted(poses.stamps_ns, stamps_ns), 1, len(poses) - 1)
-    before = after - 1
-    gap = (poses.stamps_ns[after] - poses.stamps_ns[before]).astype(np.float64)
-    share = ((stamps_ns - poses.stamps_ns[before]) / gap)[:, None]
-    first, last = poses.positions[before], poses.positions[after]
-    positions = np.where(share == 1.0, last, first + share * (last - first))
-    turn = rotations.log(rotations.transposed(poses.orientations[before]) @ poses.orientations[after])
-    between = poses.orientations[before] @ rotations.exp(share * turn)
-    return positions, np.where(share[:, :, None] == 1.0, poses.orientations[after], between)
+def interpolated(poses: Poses, stamps_ns: Stamps) -> tuple[Array, Rotation]:
+    """(M, 3) positions and M rotations at stamps within those of `poses`, two or more."""
+    own, at = (one - poses.stamps_ns[0] for one in (poses.stamps_ns, stamps_ns))
+    positions = np.column_stack([np.interp(at, own, axis) for axis in poses.positions.T])
+    return positions, Slerp(own, poses.turns)(at)

@@ -6,19 +6,19 @@ import json
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.pairs import LEAST_OF_A_PAIR, PairFindings
-from sixthsense.auditing.poses import Frame
+from sixthsense.auditing.poses import POSITION, Frame
 from sixthsense.auditing.scores import TrajectoryErrors
 from sixthsense.auditing.statistics import AXES, LEVELS, Findings
 from sixthsense.core.covariance import chi_square_quantile
-from sixthsense.core.source import seconds
 from sixthsense.evaluation.consistency import Consistency, Outcome, short
 from sixthsense.figures.canvas import in_millimetres, legend_above
 from sixthsense.figures.overtime import draw_nees, draw_tube, scale_nees, style_of
@@ -30,10 +30,7 @@ if TYPE_CHECKING:
 
     from sixthsense.core.picture import Picture
 
-_ALIGNED = {
-    "none": "none: both are in one frame",
-    "all": "by all poses",
-}
+_ALIGNED = {"none": "none: both are in one frame", "all": "by all poses"}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -75,14 +72,6 @@ class Audit:
             return _of_pair(self.findings, self.pair, self.names)
         return f"{self.findings.pose}{_where(self.findings)}"
 
-    @property
-    def summary(self) -> dict[str, str]:
-        """What the summary of the audited run has: accuracy and consistency."""
-        lines = {"consistency": self.verdict}
-        if self.trajectory is not None:
-            lines = {"accuracy": f"{_trajectory(self.trajectory)}, by {self.names[1]}"} | lines
-        return lines
-
     def frame(self) -> pd.DataFrame:
         """A row for the pose and for each axis: NEES, samples, factor of the covariance with its interval, outcome."""
         import pandas as pd
@@ -113,29 +102,25 @@ class Audit:
             told = ", ".join(f"{100.0 * chance:.0f} % for {times:g} times" for times, chance in self.pair.power.items())
             yield "power", f"one whose errors are larger than its sigmas is found with {told}"
             yield "dependence", "errors that both share, as by one odometry or the same scans, cancel: they hide"
-        shares = (
-            f"{name} {', '.join(f'{100.0 * share:.0f}' for share in one.coverage.values())} (of {short(one.samples)})"
-            for name, one in found.scores.items()
+        levels, shares = (
+            ", ".join(f"{100.0 * one:.0f}" for one in of) for of in (LEVELS, found.score.coverage.values())
         )
-        levels = ", ".join(f"{100.0 * level:.0f}" for level in LEVELS)
-        yield "coverage", f"inside the regions of {levels} %: {'; '.join(shares)}"
-        score = found.scores["pose"]
-        scaled = f"{score.scaled_log_score:.2f} with the covariance times the factor"
-        yield "log score", f"{score.log_score:.2f} nats on average; {scaled}"
+        yield "coverage", f"inside the regions of {levels} %: {shares}"
+        scaled = f"{found.score.scaled_log_score:.2f} with the covariance times the factor"
+        yield "log score", f"{found.score.log_score:.2f} nats on average; {scaled}"
         if self.trajectory is not None:
-            rpe = f"from pose to pose RPE {self.trajectory.rpe_m:.4f} m, {self.trajectory.rpe_deg:.3f}°"
-            yield "trajectory", f"{_trajectory(self.trajectory)}; {rpe}"
+            yield "trajectory", f"ATE {self.trajectory.ate_m:.3f} m, {self.trajectory.aligned_ate_m:.3f} m aligned"
         yield from (("note", note) for note in self.notes)
 
     def as_dict(self) -> dict[str, Any]:
         """All numbers and texts, as in the JSON file; a number that is not known is None."""
-        known = {name: getattr(self, name) for name in ("verdict", "outcome", "summary", "align", "read_as", "notes")}
-        known |= {"text": repr(self), "frame": self.axes_of, "estimate": self.names[0], "truth": self.names[1]}
-        known |= {"runs": len(self.runs), "findings": asdict(self.findings)}
-        known["findings"] |= {"band": self.findings.pose.band, "interval": self.findings.pose.interval}
-        for name in ("trajectory", "pair"):
-            known[name] = None if (part := getattr(self, name)) is None else asdict(part)
-        return dict(_finite(known))
+        names = ["verdict", "outcome", "align", "read_as", "notes", "findings", "trajectory", "pair"]
+        known = {name: getattr(self, name) for name in names} | {"text": repr(self), "frame": self.axes_of}
+        known |= {"estimate": self.names[0], "truth": self.names[1], "runs": len(self.runs)}
+        found: dict[str, Any] = to_jsonable_python(known, inf_nan_mode="null")
+        pose = self.findings.pose
+        found["findings"] |= {"band": list(pose.band), "interval": list(pose.interval)}
+        return found
 
     def save(self, file: str | Path) -> None:
         """Write the numbers as JSON, or a page for a file that ends in .html; InputError if it cannot be written."""
@@ -146,11 +131,9 @@ class Audit:
             picture = Path(folder) / "audit.png"
             self.plot().savefig(picture, dpi=110)
             caption = "Errors of the first run in their 3-sigma tubes, NEES over time, chi-square Q-Q."
-            sections: dict[str, list[Any]] = {
-                "What it rests on": [Text("\n".join(f"{label:12} {text}" for label, text in self._lines()))],
-                "Figures": [Drawn(picture, caption)],
-                "Table": [self.frame().round(4)],
-            }
+            lines = Text("\n".join(f"{label:12} {text}" for label, text in self._lines()))
+            sections: dict[str, list[Any]] = {"What it rests on": [lines], "Figures": [Drawn(picture, caption)]}
+            sections["Table"] = [self.frame().round(4)]
             verdict = Verdict("", self.verdict, self.outcome == "overconfident")
             write_page(Path(file), page(f"Audit of {self.names[0]}", [verdict], sections))
 
@@ -163,7 +146,7 @@ class Audit:
         tubes: list[Any] = []
         for k, name in enumerate(names):
             ax = picture.add_subplot(grid[2 * k : 2 * k + 2, 0], sharex=tubes[0] if tubes else None)
-            scale, unit = (1.0, "m") if k < run.orientations.shape[1] else (float(np.degrees(1.0)), "°")
+            scale, unit = (1.0, "m") if k < POSITION[len(names)] else (float(np.degrees(1.0)), "°")
             bound = 3.0 * scale * np.sqrt(cov[:, k, k])
             draw_tube(ax, _seconds(run), scale * error[:, k], bound, "stated ±3σ", color=ESTIMATE, label="error")  # noqa: RUF001
             ax.set_ylabel(f"{name} [{unit}]")
@@ -183,34 +166,20 @@ class Audit:
         return picture
 
 
-def _finite(value: Any) -> Any:
-    """The value with lists for tuples and None for what is not finite, as JSON has them."""
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _of_pair(found: Findings, pair: PairFindings, names: tuple[str, str]) -> str:
     """What two systems say of each other in one sentence."""
-    first, second = (Path(name.split()[0]).name for name in names)
-    first, second = (f"the {name}" if name in ("first", "second") else name for name in (first, second))
+    first, second = (f"the {one}" if one in ("first", "second") else Path(one.split()[0]).name for one in names)
     if pair.outcome == "too short to tell":
         worth = f"worth {short(pair.samples)} independent samples, {LEAST_OF_A_PAIR:.0f} are needed"
         return f"too short to tell: {found.poses:,} poses are {worth}"
     if pair.outcome == "consistent":
         return "consistent: the two differ by as much as both covariances allow; an error that both share is not seen"
     if pair.outcome == "cautious":
-        return (
-            f"the two differ by {short(math.sqrt(found.factor))} times what independent systems would: at least one is "
-            "cautious, or their errors depend on each other"
-        )
+        less = f"the two differ by {short(math.sqrt(found.factor))} times what independent systems would"
+        return f"{less}: at least one is cautious, or their errors depend on each other"
     each = [short(times) for times in pair.if_other_honest]
-    return (
-        f"at least one is overconfident by {short(pair.least)} or more: if {second} is honest, {first} by {each[0]}; "
-        f"if {first} is, {second} by {each[1]}"
-    )
+    if_honest = f"if {second} is honest, {first} by {each[0]}; if {first} is, {second} by {each[1]}"
+    return f"at least one is overconfident by {short(pair.least)} or more: {if_honest}"
 
 
 def _where(found: Findings) -> str:
@@ -224,10 +193,6 @@ def _where(found: Findings) -> str:
     if most := [name for name in some if min(is_more * (end - typical) for end in found.axes[name].interval) > 0.0]:
         return f", mostly in {_listed(most)}"
     return "" if not some else ", on all axes" if len(some) == len(found.axes) else f", in {_listed(some)}"
-
-
-def _trajectory(errors: TrajectoryErrors) -> str:
-    return f"ATE {errors.ate_m:.3f} m, {errors.aligned_ate_m:.3f} m aligned"
 
 
 def _ratio(name: str, one: Consistency) -> str:
@@ -255,4 +220,4 @@ def _draw_quantiles(ax: Any, runs: Sequence[Errors], found: Consistency) -> None
 
 
 def _seconds(run: Errors) -> Any:
-    return np.asarray(seconds(run.stamps_ns - run.stamps_ns[0]))
+    return 1e-9 * (run.stamps_ns - run.stamps_ns[0])

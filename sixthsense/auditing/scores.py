@@ -2,45 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from sixthsense.auditing import rotations
 from sixthsense.auditing.pairing import Pair
 from sixthsense.core.geometry import Array
 
 
-@dataclass(frozen=True, slots=True)
-class TrajectoryErrors:
+class TrajectoryErrors(NamedTuple):
     """Errors of a trajectory without its covariances."""
 
     ate_m: float
     """RMSE of the position, as the poses stand (`evo_ape`)"""
     aligned_ate_m: float
     """the same after the rigid motion with the least sum of squares (`evo_ape --align`)"""
-    rpe_m: float
-    """RMSE of the translation of the relative pose error from one pose to the next (`evo_rpe`)"""
-    rpe_deg: float
-    """RMSE of its angle"""
 
 
 def trajectory_errors(pair: Pair) -> TrajectoryErrors:
     """The errors of poses beside the truth at the same instants."""
-    found, true = pair.estimate, pair.truth
-    turn, shift = fitted(found.positions, true.positions)
-    ate, aligned = rms(found.positions - true.positions), rms(found.positions @ turn.T + shift - true.positions)
-    if len(found) < 2:
-        return TrajectoryErrors(ate, aligned, math.nan, math.nan)
-    turns, steps = [], []
-    for poses in (true, found):
-        back = rotations.transposed(poses.orientations[:-1])
-        turns.append(back @ poses.orientations[1:])
-        steps.append((back @ np.diff(poses.positions, axis=0)[:, :, None])[:, :, 0])
-    angles = rotations.log(rotations.transposed(turns[0]) @ turns[1])
-    return TrajectoryErrors(ate, aligned, rms(steps[1] - steps[0]), math.degrees(rms(angles)))
+    n = 2 if pair.estimate.is_planar else 3
+    found, true = pair.estimate.positions[:, :n], pair.truth.positions[:, :n]
+    turn, shift = fitted(found, true)
+    return TrajectoryErrors(rms(found - true), rms(found @ turn.T + shift - true))
 
 
 def fitted(points: Array, true: Array) -> tuple[Array, Array]:
@@ -56,7 +41,7 @@ def fitted(points: Array, true: Array) -> tuple[Array, Array]:
 def pooled(runs: Sequence[tuple[int, TrajectoryErrors]]) -> TrajectoryErrors:
     """The errors of several runs together, by their numbers of poses."""
     counts = np.array([count for count, _ in runs], dtype=np.float64)
-    values = np.array([astuple(errors) for _, errors in runs])  # (runs, fields)
+    values = np.array([errors for _, errors in runs])  # (runs, fields)
     return TrajectoryErrors(*np.sqrt(counts @ values**2 / counts.sum()).tolist())
 
 

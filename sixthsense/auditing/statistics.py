@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sixthsense.auditing import rotations
 from sixthsense.auditing.pairing import Align, Errors
-from sixthsense.auditing.poses import Frame
+from sixthsense.auditing.poses import Frame, heading
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.consistency import Consistency, Outcome, consistency
@@ -20,7 +19,6 @@ from sixthsense.evaluation.effective import (
     effective_samples_of_errors,
     whitened_errors,
 )
-from sixthsense.evaluation.metrics import squares
 
 LEVELS = (0.5, 0.9, 0.95)
 """of the regions whose coverage is computed"""
@@ -37,12 +35,10 @@ _PARTS = 5
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How well a stated covariance describes errors: of the whole pose, the position, or the rotation."""
+    """How well the stated covariance describes the errors of the pose."""
 
     coverage: dict[float, float]
     """share of the errors inside the region that is to hold this share"""
-    samples: float
-    """effective number of samples"""
     log_score: float
     """mean of the negative logarithm of the stated density at the errors, nats (m, rad): less is better"""
     scaled_log_score: float
@@ -63,8 +59,8 @@ class Findings:
     """mean NEES in equal parts of the time; NaN for a part without poses"""
     removed: float
     """share of the NEES that the alignment has taken"""
-    scores: dict[str, Score]
-    """coverage and log score of `pose`, `position` and `rotation`"""
+    score: Score
+    """coverage and log score of the pose"""
 
     @property
     def outcome(self) -> Outcome:
@@ -99,23 +95,20 @@ def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
 
     pose = judged([(run.error, run.cov) for run in runs])
     turned = [run.in_axes(frame) for run in runs]
-    names, n = AXES[frame, pose.dof], runs[0].orientations.shape[1]
     axes = {
         name: judged([(error[:, k : k + 1], cov[:, k : k + 1, k : k + 1]) for error, cov in turned])
-        for k, name in enumerate(names)
+        for k, name in enumerate(AXES[frame, pose.dof])
     }
-    parts = {"pose": slice(0, pose.dof), "position": slice(0, n), "rotation": slice(n, pose.dof)}
-    scores = {name: _score([(run.error[:, p], run.cov[:, p, p]) for run in runs]) for name, p in parts.items()}
-    return Findings(int(lengths.sum()), pose, axes, _over_time(runs), removed, scores)
+    return Findings(int(lengths.sum()), pose, axes, _over_time(runs), removed, _score(runs))
 
 
-def _score(runs: Sequence[tuple[Array, Array]]) -> Score:
-    found, nees = consistency(runs), np.concatenate([squares(*run) for run in runs])
-    volumes = np.concatenate([np.linalg.slogdet(cov)[1] for _, cov in runs])
-    volume = found.dof * math.log(2.0 * math.pi) + float(volumes.mean())
-    scaled = 0.5 * (volume + found.dof * math.log(max(found.factor, 1e-300)) + found.dof)
-    coverage = {level: float(np.mean(nees <= chi_square_quantile(level, found.dof))) for level in LEVELS}
-    return Score(coverage, found.samples, 0.5 * (volume + found.nees), scaled)
+def _score(runs: Sequence[Errors]) -> Score:
+    nees, dof = np.concatenate([run.nees for run in runs]), runs[0].error.shape[1]
+    volumes = np.concatenate([np.linalg.slogdet(run.cov)[1] for run in runs])
+    volume, mean = dof * math.log(2.0 * math.pi) + float(volumes.mean()), float(nees.mean())
+    coverage = {level: float(np.mean(nees <= chi_square_quantile(level, dof))) for level in LEVELS}
+    scaled = 0.5 * (volume + dof * math.log(max(mean / dof, 1e-300)) + dof)
+    return Score(coverage, 0.5 * (volume + mean), scaled)
 
 
 def _over_time(runs: Sequence[Errors]) -> tuple[float, ...]:
@@ -135,7 +128,7 @@ def heading_dependence(errors: Errors) -> float:
     It is the share of the NEES's variance that cos and sin of twice the heading explain, times the effective number of
     samples: a covariance that is turned by the heading, or is not and should be, repeats after half a turn.
     """
-    nees, twice = errors.nees, 2.0 * rotations.yaw(errors.orientations)
+    nees, twice = errors.nees, 2.0 * heading(errors.turns)
     basis = np.column_stack([np.ones_like(nees), np.cos(twice), np.sin(twice)])
     fit = basis @ np.linalg.lstsq(basis, nees, rcond=None)[0]
     variance = float(np.var(nees))

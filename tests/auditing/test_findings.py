@@ -66,9 +66,10 @@ def test_every_number_of_the_findings_is_that_of_a_few_lines(align):
         ones = []
         for run in runs:
             turned = run.error.copy()
-            turned[:, :2] = (run.orientations.transpose(0, 2, 1) @ run.error[:, :2, None])[:, :, 0]
+            back = run.turns.inv().as_matrix()[:, :2, :2]
+            turned[:, :2] = (back @ run.error[:, :2, None])[:, :, 0]
             cov = run.cov.copy()
-            cov[:, :2, :2] = run.orientations.transpose(0, 2, 1) @ cov[:, :2, :2] @ run.orientations
+            cov[:, :2, :2] = back @ cov[:, :2, :2] @ back.transpose(0, 2, 1)
             ones.append((turned[:, k] / np.sqrt(cov[:, k, k]))[:, None])
         squares, one = [own[:, 0] ** 2 for own in ones], found.axes[name]
         value = np.concatenate(squares).mean() / (1.0 - removed)
@@ -83,8 +84,8 @@ def test_every_number_of_the_findings_is_that_of_a_few_lines(align):
 
 def found_with(nees, samples, ratios=(1.0, 1.0, 1.0)):
     axes = {name: Consistency(ratio, 60.0, 1) for name, ratio in zip(("x", "y", "heading"), ratios, strict=True)}
-    scores = {name: Score({0.5: 0.4, 0.9: 0.8, 0.95: 0.9}, 50.0, 1.0, 0.9) for name in ("pose", "position", "rotation")}
-    return Findings(400, Consistency(nees, samples), axes, (4.0,) * 5, 0.0, scores)
+    score = Score({0.5: 0.4, 0.9: 0.8, 0.95: 0.9}, 1.0, 0.9)
+    return Findings(400, Consistency(nees, samples), axes, (4.0,) * 5, 0.0, score)
 
 
 def arrays(one):

@@ -98,7 +98,7 @@ def test_errors_covariances_and_ratios_are_those_of_matrices_in_either_frame(see
     assert run.nees == pytest.approx(squares) and found.findings.pose.nees == pytest.approx(np.mean(squares))
     told, dof = found.findings, 3 if n == 2 else 6
     share = np.mean(np.array(squares) <= chi2.ppf(0.95, dof))
-    assert told.scores["pose"].coverage[0.95] == share and told.factor == told.pose.nees / dof
+    assert told.score.coverage[0.95] == share and told.factor == told.pose.nees / dof
     assert told.pose.band == pytest.approx(chi2.ppf((0.025, 0.975), dof * told.pose.samples) / told.pose.samples)
     assert [one.factor for one in told.axes.values()] == pytest.approx(np.mean(ratios, axis=0))
 
@@ -127,7 +127,7 @@ def test_an_alignment_by_all_poses_has_the_least_sum_of_nees(seed, n, frame):
     turn = axes(away[:n, :n])
     one.covs = turn.T @ one.covs @ turn if frame == "world" else one.covs
     run = one.audit(frame=frame, align="all").runs[0]
-    by = run.orientations[0] @ one.estimate[0, :n, :n].T
+    by = run.turns[0].as_matrix()[:n, :n] @ one.estimate[0, :n, :n].T
     found = motion(by, run.error[0, :n] + one.truth[0, :n, n] - by @ one.estimate[0, :n, n])
 
     def cost(motion_, first):
