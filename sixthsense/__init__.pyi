@@ -45,6 +45,7 @@ from .slam.mapping.grid import Grid as Grid
 from .core.landmarks import Kind as Kind
 from .core.landmarks import Observation as Observation
 from .core.laser import Scan as Scan
+from .core.source import Command as Command
 from .core.ray_casting import cast_rays as cast_rays
 from .logs import open_log as open_log
 from .logs.log import read_relations as read_relations

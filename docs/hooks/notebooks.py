@@ -24,6 +24,11 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
     return files
 
 
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Lead links to notebooks of the repository to their pages."""
+    return re.sub(r"\]\(\.\./((?:\.\./)*notebooks/\w+)\.ipynb\)", r"](\1.md)", markdown)
+
+
 def page(notebook: Path) -> tuple[str, dict[str, bytes]]:
     """Return the Markdown of a notebook, and its pictures by file name."""
     import nbformat

@@ -25,14 +25,6 @@ from sixthsense.logs.finding import KINDS
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _UNIT_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
 
-_METRICS_INTRO = """\
-The metrics are flat keys in `run.metrics`, in `metrics.json`, in what `--verbose` prints at the end of a run, and in
-the columns of a campaign. Metrics that cannot be computed are left out: errors without truth, relations without a
-relations file, landmarks where scans are matched. An error is estimate minus truth. `run.metrics.frame()` is a pandas
-frame with units and meanings.
-
-This page is generated from the package when the site is built.
-""".splitlines()
 _GROUP_NOTES = {
     "Outcome": [
         "The [outcome](../concepts/index.md#how-a-run-ends) is decided by the estimate: the true distance to a goal",
@@ -54,28 +46,14 @@ _GROUP_NOTES = {
         "The time of a keyframe excludes sensing. A stage's mean is its total time divided by the keyframes.",
     ],
 }
-_FINDINGS = "<!-- findings -->"
+_MARKER = re.compile(r"<!-- (findings|configuration|commands|metrics) -->")
 _SHARED = ("config", "out", "overwrite")
-_FIELDS_INTRO = """\
-A `Config` is a tree of frozen sections that validate their fields. Every field is an option of `sixthsense run`
-(`--laser.beams 181`), a line of a TOML file (`[laser]`, `beams = 181`) and an argument of `ss.preset`
-(`laser={"beams": 181}`). Values come from defaults, preset, file and options; later ones override earlier ones. An
-invalid value is rejected in one line that names the field, the value found and the allowed values.
-
-This page is generated from the classes when the site is built.
-""".splitlines()
-_COMMANDS_INTRO = """\
-Exit codes: 0 done (also "explored in part", and a run of `live` ended by Ctrl-C); 1 the robot failed (stuck, lost,
-collided, goal unreachable, another robot); 2 bad input, reported in one line; 71 out of memory; 74 the disk is full;
-130 interrupted. All
-commands but `report`, `audit`, `export`, `scenes` and `parts` accept the fields of the
-[configuration](configuration.md) as options in addition to those below.
-""".splitlines()
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Write the table of findings into the page on logs."""
-    return markdown.replace(_FINDINGS, findings()) if page.file.src_uri == "howto/logs.md" else markdown
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Put generated tables in the place of their markers, each alone on a line of its page."""
+    made = {"findings": findings, "configuration": configuration, "commands": command_line, "metrics": metrics}
+    return _MARKER.sub(lambda match: made[match[1]](), markdown)
 
 
 def findings() -> str:
@@ -94,23 +72,9 @@ def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Add the generated pages."""
-    from mkdocs.structure.files import File
-
-    for name, text in (
-        ("configuration", configuration()),
-        ("cli", command_line()),
-        ("metrics", metrics()),
-    ):
-        files.append(File.generated(config, f"reference/{name}.md", content=text))
-    return files
-
-
 def configuration() -> str:
-    """Return the page of all fields, section by section."""
-    lines = ["# Configuration", "", *_FIELDS_INTRO, ""]
-    lines += _section(Config, "", 2)
+    """Return all fields, section by section."""
+    lines = _section(Config, "", 2)
     lines += ["## Presets", "", "The fields that each preset sets; `default` sets none.", ""]
     for name in PRESETS:
         changes = list(_changes(preset(name), Config(preset=name)))
@@ -121,10 +85,10 @@ def configuration() -> str:
 
 
 def command_line() -> str:
-    """Return the page of the commands and their options, without the fields of the configuration."""
+    """Return the commands and their options, without the fields of the configuration."""
     with redirect_stdout(io.StringIO()) as out:
         main(["--help"])
-    lines = ["# Command line", "", "```text", out.getvalue().rstrip(), "```", "", *_COMMANDS_INTRO, ""]
+    lines = ["```text", out.getvalue().rstrip(), "```", ""]
     for name in COMMANDS:
         command = command_class(name)
         lines += [f"## {name}", "", inspect.getdoc(command) or "", ""]
@@ -138,12 +102,12 @@ def command_line() -> str:
 
 
 def metrics() -> str:
-    """Return the page of the metrics, by group."""
+    """Return the metrics, by group."""
     groups: dict[str, list[str]] = {quantity.group: [] for quantity in QUANTITIES.values()}
     for key, quantity in QUANTITIES.items():
         unit = "" if quantity.unit == "1" else quantity.unit
         groups[quantity.group].append(f"| `{key}` | {unit} | {_cell(quantity.meaning)} |")
-    lines = ["# Metrics", "", *_METRICS_INTRO, ""]
+    lines: list[str] = []
     for group, rows in groups.items():
         lines += [f"## {group}", "", "| key | unit | meaning |", "| --- | --- | --- |", *rows, ""]
         lines += [*_GROUP_NOTES[group], ""] if group in _GROUP_NOTES else []
