@@ -15,8 +15,7 @@ from sixthsense.auditing.pairing import Errors
 from sixthsense.auditing.statistics import Findings
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.consistency import Outcome
-from sixthsense.evaluation.effective import LEAST_SAMPLES, effective_samples_of_errors, whitened_errors
+from sixthsense.evaluation.consistency import LEAST_SAMPLES, Outcome, effective_samples_of_errors, whitened_errors
 
 CONFIDENCE = 0.95
 """of each one-sided statement"""

@@ -12,9 +12,11 @@ from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.poses import Frame, heading
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.consistency import Consistency, Outcome, consistency
-from sixthsense.evaluation.effective import (
+from sixthsense.evaluation.consistency import (
     LEAST_SAMPLES,
+    Consistency,
+    Outcome,
+    consistency,
     effective_samples,
     effective_samples_of_errors,
     whitened_errors,

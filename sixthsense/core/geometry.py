@@ -124,9 +124,9 @@ def interpolated(stamps_s: Array, poses: Array, times_s: Array) -> Array:
 
 
 def point_segment_distance(point: Array, segments: Array) -> Array:
-    """(N,) distances from a (2,) point to (N, 2, 2) segments, in metres."""
+    """(N,) distances from a (2,) point to (N, 2, 2) segments, in metres; (P, N) from points (P, 1, 2)."""
     start = segments[:, 0]
     along = segments[:, 1] - start
     length_sq = np.maximum(np.einsum("ij,ij->i", along, along), 1e-300)
-    t = np.clip(np.einsum("ij,ij->i", point - start, along) / length_sq, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(start + t[:, None] * along - point, axis=1))
+    t = np.clip(np.einsum("...j,...j->...", point - start, along) / length_sq, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(start + t[..., None] * along - point, axis=-1))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numba
@@ -118,15 +118,14 @@ def visible_area(
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 
-    first = np.full((height, width), -1, dtype=np.int32)
-    beams = beams_of(2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS)
-    near = near_walls(walls, laser_range)
-    for row, col in _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m))):
-        _sweep(Pose(x[col], y[row]), beams, near, laser_range, origin, cell_m, 0, first)
+    seats = _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m)))
+    lasers = [Pose(x[col], y[row]) for row, col in seats]
+    bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
-    mask = (first >= 0) & inside & (clearances >= cell_m)
+    area = VisibleArea(inside & (clearances >= cell_m), (float(origin[0]), float(origin[1])), cell_m)
+    mask = area.mask & (_first_seen(area, dict(enumerate(lasers)), bearings, laser_range, walls) >= 0)
     mask.flags.writeable = False
-    return VisibleArea(mask, (float(origin[0]), float(origin[1])), cell_m)
+    return replace(area, mask=mask)
 
 
 def coverage(
@@ -145,17 +144,16 @@ def coverage(
     """
     if not area.mask.any():
         return np.full(len(poses), math.nan)
-    first = np.full(area.mask.shape, -1, dtype=np.int32)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
-    beams, near, last = beams_of(bearings), near_walls(walls, max_range), None
+    lasers: dict[int, Pose] = {}
+    last = None
     for k, pose in enumerate(map(Pose.from_array, poses)):
         if last is not None:
             moved, turned = math.hypot(pose.x - last.x, pose.y - last.y), abs((last.inverse() @ pose).theta)
             if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
                 continue
-        last, T_world_laser = pose, pose @ Pose(*mount)
-        _sweep(T_world_laser, beams, near, max_range, np.array(area.origin), area.cell_m, k, first)
-    known = first[area.mask]
+        last, lasers[k] = pose, pose @ Pose(*mount)
+    known = _first_seen(area, lasers, bearings, max_range, walls)[area.mask]
     return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(poses))) / len(known))
 
 
@@ -173,21 +171,17 @@ def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
     return area, coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
 
 
-def _sweep(
-    T_world_laser: Pose,
-    beams: Beams,
-    near: Callable[[float, float], Array],
-    max_range: float,
-    origin: Array,
-    cell_m: float,
-    scan: int,
-    first: Scans,
-) -> None:
-    """Mark the cells on the beams of a laser in `first`."""
-    walls = near(T_world_laser.x, T_world_laser.y)
-    lengths = np.minimum(cast_among(T_world_laser, beams, walls, max_range), max_range) / cell_m
-    x, y = ((T_world_laser.position - origin) / cell_m).tolist()
-    _mark((x, y, T_world_laser.theta), beams, lengths, scan, first)
+def _first_seen(
+    area: VisibleArea, lasers: Mapping[int, Pose], bearings: Array, max_range: float, walls: Array
+) -> Scans:
+    """(H, W) the first scan with a beam on each cell, -1 for none; `lasers` are the poses of the laser by scan."""
+    first = np.full(area.mask.shape, -1, dtype=np.int32)
+    beams, near = beams_of(bearings), near_walls(walls, max_range)
+    for scan, laser in lasers.items():
+        ranges = cast_among(laser, beams, near(laser.x, laser.y), max_range)
+        x, y = ((laser.position - area.origin) / area.cell_m).tolist()
+        _mark((x, y, laser.theta), beams, np.minimum(ranges, max_range) / area.cell_m, scan, first)
+    return first
 
 
 def _viewpoints(reachable: Mask, step: int) -> NDArray[np.int64]:

@@ -158,18 +158,14 @@ def match_landmarks(estimated: Array, truth: Array, radius: float) -> tuple[floa
     The assignment has the most matches within `radius`, and among these the least squared distances. The RMSE is NaN
     without a match.
     """
-    # Here, since they take a while to load; `scipy.optimize` takes four times as long.
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+    from scipy.optimize import linear_sum_assignment  # here, since it takes a while to load
 
     squared = np.sum((estimated[:, None] - truth[None]) ** 2, axis=2)  # (N, M)
-    # To have no match costs more than all matches, so their number comes first; a cost of 0 would mean that none is.
-    unmatched = (1.0 + radius**2 * (1 + min(squared.shape))) * np.eye(len(estimated))
-    costs = np.hstack([np.where(squared <= radius**2, 1.0 + squared, 0.0), unmatched])
-    rows, columns = min_weight_full_bipartite_matching(csr_array(costs))
-    has_match = columns < len(truth)
-    matched = squared[rows[has_match], columns[has_match]]
-    return (float(np.sqrt(matched.mean())) if len(matched) else math.nan), len(matched)
+    # To have no match costs more than all matches, so their number comes first.
+    costs = np.where(squared <= radius**2, squared, 1.0 + radius**2 * (1 + min(squared.shape)))
+    found = squared[linear_sum_assignment(costs)]
+    found = found[found <= radius**2]
+    return (float(np.sqrt(found.mean())) if len(found) else math.nan), len(found)
 
 
 def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
@@ -180,30 +176,29 @@ def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
     """
     from scipy.spatial import cKDTree  # here, since it takes a while to load
 
-    lengths = np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1)
-    walls = walls[lengths > 2.0 * tolerance_m]
+    walls = walls[np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1) > 2.0 * tolerance_m]
     if len(walls) == 0:
         return np.empty((0, 2))
     candidates = np.concatenate([walls.reshape(-1, 2), *(_crossings(w, walls[i + 1 :]) for i, w in enumerate(walls))])
     candidates = np.unique(candidates, axis=0)
     is_new = np.ones(len(candidates), dtype=np.bool_)
     is_new[cKDTree(candidates).query_pairs(tolerance_m, output_type="ndarray")[:, 1]] = False
-    points = candidates[is_new]
-    directions: list[list[float]] = [[] for _ in points]  # of the walls that leave each point
-    for start, end in walls:
-        along = end - start
-        length = float(np.linalg.norm(along))
-        along = along / length
-        offset = points - start
-        t = offset @ along
-        on_it = np.abs(offset @ np.array([-along[1], along[0]])) <= tolerance_m
-        angle = math.atan2(along[1], along[0])
-        for i in np.flatnonzero(on_it & (t >= -tolerance_m) & (t <= length + tolerance_m)):
-            if t[i] < length - tolerance_m:
-                directions[i].append(angle)
-            if t[i] > tolerance_m:
-                directions[i].append(angle + math.pi)
-    return points[[not _is_straight(np.array(angles)) for angles in directions]]
+    along = walls[:, 1] - walls[:, 0]
+    lengths, angles = np.hypot(*along.T), np.arctan2(along[:, 1], along[:, 0])
+    along /= lengths[:, None]
+
+    def is_bend(point: Array) -> bool:
+        """Whether the directions of the walls that leave a point are not exactly the two of one straight line."""
+        offset = point - walls[:, 0]
+        t, off = (offset * along).sum(axis=1), offset[:, 1] * along[:, 0] - offset[:, 0] * along[:, 1]
+        on_it = (np.abs(off) <= tolerance_m) & (t >= -tolerance_m) & (t <= lengths + tolerance_m)
+        onward, backward = on_it & (t < lengths - tolerance_m), on_it & (t > tolerance_m)
+        directions = np.concatenate([angles[onward], angles[backward] + math.pi])
+        turns = np.abs(wrap_angle(directions - directions[0]))
+        ahead, behind = turns < 1e-3, turns > math.pi - 1e-3
+        return not (np.all(ahead | behind) and behind.any())
+
+    return np.array([point for point in candidates[is_new] if is_bend(point)]).reshape(-1, 2)
 
 
 def _crossings(wall: Array, others: Array) -> Array:
@@ -217,10 +212,3 @@ def _crossings(wall: Array, others: Array) -> Array:
     parallel = np.abs(cross) <= 1e-9 * np.linalg.norm(d) * np.linalg.norm(e, axis=1)
     hit = ~parallel & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
     return np.asarray(wall[0] + t[hit, None] * d)
-
-
-def _is_straight(angles: Array) -> bool:
-    """Whether the directions (K,) are exactly the two of one straight line."""
-    turns = np.abs(wrap_angle(angles - angles[0]))
-    ahead, behind = turns < 1e-3, turns > math.pi - 1e-3
-    return bool(np.all(ahead | behind) and behind.any())

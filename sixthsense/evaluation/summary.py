@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.consistency import Consistency, short
-from sixthsense.evaluation.effective import effective_samples
+from sixthsense.evaluation.consistency import Consistency, effective_samples, short
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,6 +18,24 @@ if TYPE_CHECKING:
 NEES, EFFECTIVE = "pose_nees_world_mean", "pose_nees_effective_samples"
 _NIS = 0.5, 2.0
 """per degree of freedom; beyond, sigmas are wrong by a factor of 1.4 and more"""
+_MEANS = {"ATE m": "ate_rmse_m", "NEES": NEES, "NIS/dof": "nis_mean_per_dof", "coverage": "coverage"}
+_LINES = {
+    "scans": {"scans": "{:,} used", "keyframes": "{:,} of them as keyframes", "largest_gap_s": "largest gap {:.3g} s"},
+    "driven": {
+        "path_length_m": "{:,.1f} m", "sim_time_s": "{:,.0f} s", "area_seen_m2": "{:,.0f} m² seen",
+        "loop_closures_found": "{:,} loop closures",
+    },
+    "accuracy": {
+        "ate_rmse_m": "position error {length} RMS", "dead_reckoning_ate_rmse_m": "odometry alone {length}",
+        "relations_trans_m_mean": "error against the relations {length}",
+        "relations_rot_deg_mean": "{:.2g}° on average",
+    },
+    "speed": {
+        "realtime_factor": "{short} times real time", "scan_ms_p50": "{short} ms a keyframe",
+        "scan_ms_p99": "{short} ms at the 99th percentile",
+    },
+}  # fmt: skip
+"""what lines of a summary say of metrics"""
 
 
 def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None] = ()) -> pd.DataFrame:
@@ -30,17 +47,14 @@ def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None]
     """
     import pandas as pd
 
-    numbered, rows = frame.assign(row=range(len(frame))), {}
-    for values, group in numbered.groupby(list(by), sort=True):
+    rows = {}
+    for values, group in frame.reset_index(drop=True).groupby(list(by), sort=True):
         names = [Path(value).stem if name == "scene" else str(value) for name, value in zip(by, values, strict=True)]
-        rows[tuple(names)] = {
-            "runs": len(group),
-            "ATE m": mean_interval(_measured(group, "ate_rmse_m")),
-            "NEES": _consistency_of(group, nees),
-            "NIS/dof": mean_interval(_measured(group, "nis_mean_per_dof")),
-            "coverage": mean_interval(_measured(group, "coverage")),
-            "outcomes": ", ".join(f"{count} {outcome}" for outcome, count in group["outcome"].value_counts().items()),
-        }
+        along = [one for k in group.index if nees and (one := nees[k]) is not None]
+        means = {title: mean_interval(_measured(group, key)) for title, key in _MEANS.items()}
+        outcomes = ", ".join(f"{count} {outcome}" for outcome, count in group["outcome"].value_counts().items())
+        judged = {"NEES": _consistency_of(group, along), "outcomes": outcomes}
+        rows[tuple(names)] = {"runs": len(group), **means, **judged}
     index = pd.MultiIndex.from_tuples(rows, names=list(by)) if rows else pd.Index([])
     return pd.DataFrame(list(rows.values()), index)
 
@@ -70,13 +84,11 @@ def pooled(means: Array, own: Array, nees: Sequence[Array]) -> Consistency:
     return Consistency(float(means.mean()), samples)
 
 
-def _consistency_of(group: pd.DataFrame, nees: Sequence[Array | None]) -> str:
+def _consistency_of(group: pd.DataFrame, along: Sequence[Array]) -> str:
     """Mean NEES of the runs of a group with its band and the verdict; empty without NEES."""
-    measured = group[group[NEES].notna()] if NEES in group else group[:0]
-    if not len(measured):
+    if not len(means := _measured(group, NEES)):
         return ""
-    known = [one for k in measured["row"] if nees and (one := nees[k]) is not None]
-    found = pooled(measured[NEES].to_numpy(), _measured(measured, EFFECTIVE), known)
+    found = pooled(means, _measured(group, EFFECTIVE), along)
     low, high = map(short, found.band)
     return f"{short(found.nees)} ({low} to {high}: {found.outcome})"
 
@@ -84,21 +96,6 @@ def _consistency_of(group: pd.DataFrame, nees: Sequence[Array | None]) -> str:
 def _measured(group: pd.DataFrame, column: str) -> Array:
     values = group[column].to_numpy(dtype=np.float64) if column in group else np.zeros(0)
     return np.asarray(values[np.isfinite(values)])
-
-
-_OUTCOMES = {
-    "explored": "the robot saw all that it could",
-    "explored in part": "some places are left unseen",
-    "goal reached": "the robot reached its goal",
-    "tour ended": "the robot drove its tour",
-    "log ended": "the log was processed to its end",
-    "interrupted": "the run was interrupted",
-    "collided": "the robot hit a wall",
-    "lost": "the robot was lost",
-    "stuck": "the robot was stuck",
-    "goal unreachable": "no path led to the goal",
-    "out of time": "the time limit ended the run",
-}
 
 
 def run_summary(metrics: Mapping[str, Any]) -> dict[str, str]:
@@ -109,48 +106,26 @@ def run_summary(metrics: Mapping[str, Any]) -> dict[str, str]:
     parts = {
         "outcome": "; ".join(_outcome(metrics)),
         "map": str(metrics.get("verdict", "")),
-        "scans": "" if "ate_rmse_m" in metrics else "; ".join(_scans(metrics)),
-        "driven": ", ".join(_driven(metrics)),
-        "accuracy": "; ".join(_accuracy(metrics)) or _unmeasured(metrics),
+        "scans": "" if "ate_rmse_m" in metrics else _line(metrics, "scans"),
+        "driven": _line(metrics, "driven"),
+        "accuracy": _line(metrics, "accuracy") or _unmeasured(metrics),
         "consistency": _consistency(metrics),
-        "speed": "; ".join(_speed(metrics)),
+        "speed": _line(metrics, "speed"),
     }
     return {label: text for label, text in parts.items() if text}
 
 
+def _line(metrics: Mapping[str, Any], label: str) -> str:
+    known = [(form, metrics[name]) for name, form in _LINES[label].items() if name in metrics]
+    return ", ".join(form.format(value, length=length(value), short=short(value)) for form, value in known)
+
+
 def _outcome(metrics: Mapping[str, Any]) -> Iterator[str]:
-    outcome = str(metrics.get("outcome", "unknown"))
-    yield f"{outcome}: {_OUTCOMES[outcome]}" if outcome in _OUTCOMES else outcome
+    yield (outcome := str(metrics.get("outcome", "unknown")))
     if "coverage" in metrics and outcome.startswith("explored"):
         yield f"coverage {100.0 * metrics['coverage']:.4g} %"
     if "goal_error_m" in metrics and outcome == "goal reached":
         yield f"it stands {length(metrics['goal_error_m'])} from it"
-
-
-def _scans(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if "scans" in metrics:
-        yield f"{metrics['scans']:,} used, {metrics['keyframes']:,} of them as keyframes"
-    if "largest_gap_s" in metrics:
-        yield f"largest gap {metrics['largest_gap_s']:.3g} s"
-
-
-def _driven(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if "path_length_m" in metrics:
-        yield f"{metrics['path_length_m']:,.1f} m in {metrics['sim_time_s']:,.0f} s"
-    if "area_seen_m2" in metrics:
-        yield f"{metrics['area_seen_m2']:,.0f} m² seen"
-    if "loop_closures_found" in metrics:
-        yield f"{metrics['loop_closures_found']:,} loop closures"
-
-
-def _accuracy(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if "ate_rmse_m" in metrics:
-        yield f"position error {length(metrics['ate_rmse_m'])} RMS"
-        if "dead_reckoning_ate_rmse_m" in metrics:
-            yield f"odometry alone {length(metrics['dead_reckoning_ate_rmse_m'])}"
-    if "relations_trans_m_mean" in metrics:
-        mean, turn = length(metrics["relations_trans_m_mean"]), metrics["relations_rot_deg_mean"]
-        yield f"error against the relations {mean} and {turn:.2g}° on average"
 
 
 def _unmeasured(metrics: Mapping[str, Any]) -> str:
@@ -163,25 +138,13 @@ def _unmeasured(metrics: Mapping[str, Any]) -> str:
 def _consistency(metrics: Mapping[str, Any]) -> str:
     if NEES in metrics:
         return str(Consistency(metrics[NEES], metrics.get(EFFECTIVE, 1.0)))
-    if (nis := metrics.get("nis_mean_per_dof")) is not None:
-        said = f"no truth; NIS {nis:.2f} per degree of freedom, 1 is consistent"
-        if _NIS[0] <= nis <= _NIS[1]:
-            return said
-        size = "larger" if nis < _NIS[0] else "smaller"
-        return f"{said}: the assumed noise is {size} than the robot's; assumed.laser and assumed.motion state it"
-    return "not measured: no truth"
-
-
-def _speed(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if "realtime_factor" in metrics:
-        yield f"{_two_digits(metrics['realtime_factor'])} times real time"
-    if "scan_ms_p50" in metrics:
-        median, high = (_two_digits(metrics[f"scan_ms_{name}"]) for name in ("p50", "p99"))
-        yield f"{median} ms a keyframe, {high} ms at the 99th percentile"
-
-
-def _two_digits(value: float) -> str:
-    return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
+    if (nis := metrics.get("nis_mean_per_dof")) is None:
+        return "not measured: no truth"
+    said = f"no truth; NIS {nis:.2f} per degree of freedom, 1 is consistent"
+    if _NIS[0] <= nis <= _NIS[1]:
+        return said
+    size = "larger" if nis < _NIS[0] else "smaller"
+    return f"{said}: the assumed noise is {size} than the robot's; assumed.laser and assumed.motion state it"
 
 
 def length(metres: float) -> str:

@@ -108,10 +108,13 @@ def landmark_identities(
 
 def _faces(wall: Observation, T_world_robot: Pose, scene: TrueLandmarks) -> list[Identity]:
     first, last = T_world_robot @ np.asarray(line_ends(wall.z, *wall.extent))
-    places = np.linspace(first, last, _PLACES)
-    off = np.array([point_segment_distance(place, scene.segments) for place in places])
-    nearest = scene.line_of[off.argmin(axis=1)[off.min(axis=1) <= _NEAR_M]]
-    lines, count = np.unique(nearest, return_counts=True)
+    reach_m = 0.5 * float(np.hypot(*(last - first))) + 2.0 * _NEAR_M
+    beside = np.flatnonzero(point_segment_distance(0.5 * (first + last), scene.segments) <= reach_m)
+    if not len(beside):
+        return []
+    off = point_segment_distance(np.linspace(first, last, _PLACES)[:, None], scene.segments[beside])  # (places, beside)
+    nearest = beside[off.argmin(axis=1)[off.min(axis=1) <= _NEAR_M]]
+    lines, count = np.unique(scene.line_of[nearest], return_counts=True)
     order = np.argsort(-count, kind="stable")
     lines = lines[order][count[order] >= _LEAST_SHARE * _PLACES]
     normals = np.column_stack([np.cos(scene.lines[lines, 0]), np.sin(scene.lines[lines, 0])])

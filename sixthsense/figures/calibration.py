@@ -10,12 +10,10 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Kind
-from sixthsense.evaluation.calibrate import Calibration, as_partial_config, summary
-from sixthsense.evaluation.noise import PropagationErrors
+from sixthsense.evaluation.calibrate import Calibration, Errors, as_partial_config, summary
+from sixthsense.evaluation.consistency import whitened_errors
 from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse, new_figure, save
 from sixthsense.record.writing import whole
-
-_WIDTH_IN, _HEIGHT_IN = 11.0, 4.6
 
 
 def draw_observation_errors(ax: Any, errors: Array, name: str) -> None:
@@ -31,16 +29,17 @@ def draw_observation_errors(ax: Any, errors: Array, name: str) -> None:
     ax.set(xlabel="forward error [mm]", ylabel="lateral error [mm]", title=title)
 
 
-def draw_propagation_errors(ax: Any, before: PropagationErrors, after: PropagationErrors) -> None:
+def draw_propagation_errors(ax: Any, before: Errors, after: Errors) -> None:
     """Draw the whitened errors of forward motion and heading before and after calibration."""
     _draw_ellipse(ax, np.eye(2))
+    reach = 4.0
     for errors, color, marker, when in ((before, ODOMETRY, "x", "before"), (after, ESTIMATE, "o", "after")):
-        forward, _, heading = errors.whitened.T
-        label = f"{when}: NEES {errors.nees.mean():.2f}"
-        ax.scatter(forward, heading, s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label)
-    _frame(ax, max(4.0, float(np.abs(np.concatenate([before.whitened, after.whitened])[:, [0, 2]]).max())))
-    title = f"odometry, {len(after.errors)} samples"
-    ax.set(xlabel="forward error [assumed sigmas]", ylabel="heading error [assumed sigmas]", title=title)
+        shown, label = whitened_errors(errors.errors, errors.covs)[:, [0, 2]], f"{when}: NEES {errors.mean_nees:.2f}"
+        ax.scatter(*shown.T, s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label)
+        reach = max(reach, float(np.abs(shown).max()))
+    _frame(ax, reach)
+    ax.set_title(f"odometry, {len(after.errors)} samples")
+    ax.set(xlabel="forward error [assumed sigmas]", ylabel="heading error [assumed sigmas]")
 
 
 def _draw_ellipse(ax: Any, cov: Array) -> Array:
@@ -60,7 +59,7 @@ def _frame(ax: Any, reach: float) -> None:
 
 def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
     """Write the figure of a calibration as a PNG (report figure 1)."""
-    figure = new_figure(_WIDTH_IN, _HEIGHT_IN)
+    figure = new_figure(11.0, 4.6)
     corners, ends, propagation = figure.subplots(1, 3)
     draw_observation_errors(corners, found.landmarks[1].of(Kind.CORNER), "corners")
     draw_observation_errors(ends, found.landmarks[1].of(Kind.END), "wall ends")

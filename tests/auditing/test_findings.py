@@ -10,8 +10,12 @@ from scipy.stats import chi2
 
 import sixthsense as ss
 from sixthsense.auditing.statistics import Findings, Score
-from sixthsense.evaluation.consistency import Consistency
-from sixthsense.evaluation.effective import effective_number, effective_samples_of_errors, whitened_errors
+from sixthsense.evaluation.consistency import (
+    Consistency,
+    effective_number,
+    effective_samples_of_errors,
+    whitened_errors,
+)
 
 
 def series(seed, count, scale):

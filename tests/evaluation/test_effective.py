@@ -5,8 +5,9 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from sixthsense.evaluation.consistency import Consistency, consistency
-from sixthsense.evaluation.effective import (
+from sixthsense.evaluation.consistency import (
+    Consistency,
+    consistency,
     effective_number,
     effective_samples,
     effective_samples_of_errors,

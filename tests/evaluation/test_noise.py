@@ -9,8 +9,15 @@ from sixthsense.config import AssumedConfig, Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind
-from sixthsense.evaluation.calibrate import Calibration, as_partial_config, calibrate, summary
-from sixthsense.evaluation.noise import LandmarkErrors, PropagationErrors, Sample, propagation_errors
+from sixthsense.evaluation.calibrate import (
+    Calibration,
+    Errors,
+    Sample,
+    as_partial_config,
+    calibrate,
+    propagation_errors,
+    summary,
+)
 
 RNG = np.random.default_rng(2)
 ROOTS = np.eye(3) * [0.03, 0.02, 0.05] + RNG.uniform(-0.01, 0.01, (40, 3, 3))
@@ -20,8 +27,7 @@ KINDS = np.where(np.arange(40) % 3, float(Kind.CORNER), float(Kind.END))
 
 
 def made(scale):
-    landmarks = LandmarkErrors(KINDS, scale * ERRORS[:, :2], COVS[:, :2, :2])
-    return PropagationErrors(scale * ERRORS, COVS), landmarks
+    return Errors(scale * ERRORS, COVS, np.zeros(0)), Errors(scale * ERRORS[:, :2], COVS[:, :2, :2], KINDS)
 
 
 def nees(errors, covs):

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from sixthsense.evaluation.effective import effective_samples
+from sixthsense.evaluation.consistency import effective_samples
 from sixthsense.evaluation.results import Metrics, as_text, html_of, side_by_side
 from sixthsense.evaluation.summary import run_summary, summary
 
@@ -23,25 +23,25 @@ def test_a_run_with_truth_has_five_lines():
     found = run_summary(EXPLORED)
     assert found.pop("consistency").startswith("consistent: NEES 2.90, 2.31 to 3.78 is consistent; errors are 0.8")
     assert found == {
-        "outcome": "explored: the robot saw all that it could; coverage 99.8 %",
-        "driven": "74.1 m in 251 s, 118 m² seen",
-        "accuracy": "position error 1.2 cm RMS; odometry alone 1.50 m",
-        "speed": "45 times real time; 6.9 ms a keyframe, 20 ms at the 99th percentile",
+        "outcome": "explored; coverage 99.8 %",
+        "driven": "74.1 m, 251 s, 118 m² seen",
+        "accuracy": "position error 1.2 cm RMS, odometry alone 1.50 m",
+        "speed": "44.6 times real time, 6.91 ms a keyframe, 20.4 ms at the 99th percentile",
     }
 
 
 def test_a_log_without_truth_has_its_scans_the_way_the_area_the_loop_closures_and_the_largest_gap():
     assert run_summary(LOG) == {
-        "outcome": "log ended: the log was processed to its end",
-        "scans": "13,631 used, 2,100 of them as keyframes; largest gap 3.21 s",
-        "driven": "1,508.3 m in 2,691 s, 812 m² seen, 23 loop closures",
+        "outcome": "log ended",
+        "scans": "13,631 used, 2,100 of them as keyframes, largest gap 3.21 s",
+        "driven": "1,508.3 m, 2,691 s, 812 m² seen, 23 loop closures",
         "accuracy": "not measured: no truth, no relations",
         "consistency": "not measured: no truth",
     }
     told = run_summary(
         LOG | {"relations_trans_m_mean": 0.026, "relations_rot_deg_mean": 0.451, "nis_mean_per_dof": 1.02}
     )
-    assert told["accuracy"] == "error against the relations 2.6 cm and 0.45° on average"
+    assert told["accuracy"] == "error against the relations 2.6 cm, 0.45° on average"
     assert told["consistency"] == "no truth; NIS 1.02 per degree of freedom, 1 is consistent"
 
 
