@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from sixthsense.config import Config
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.core.landmarks import Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick, seconds
 from sixthsense.evaluation.metrics import true_landmarks
@@ -45,9 +44,6 @@ from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _RETURN = "#666666"
-_NORMAL_95 = 1.96  # sigmas
-_SAME_POINT_M = 0.15  # largest distance of two observations of the same landmark
-_SAME_WALL_M = 0.1  # largest distance of a wall's middle and quarter points from walls of the other set
 _INFLATED = "#F6CFBF"
 
 
@@ -175,26 +171,6 @@ def draw_detections(ax: Any, pose: Pose, features: Features, enlarged: float = 0
     label_plane(ax)
 
 
-def draw_wall_bands(ax: Any, pose: Pose, observations: Sequence[Observation], enlarged: float = 1.0) -> None:
-    """Draw the 95 % bands of the walls among the observations from `pose`, `enlarged` in width by a factor.
-
-    A line with covariance [aa, ad; ad, dd] of (alpha, d) has the variance dd - 2 s ad + s^2 aa across at the distance s
-    along it from the foot of the robot's perpendicular, so the band is narrowest near that point.
-    """
-    label: str | None = f"walls, 95 %, enlarged {enlarged:g} times" if enlarged != 1.0 else "walls, 95 %"
-    for wall in (observation for observation in observations if observation.is_wall):
-        normal = np.array([math.cos(wall.z[0]), math.sin(wall.z[0])])
-        along = np.array([-normal[1], normal[0]])
-        s = np.linspace(*wall.extent, 25)
-        (aa, ad), (_, dd) = wall.cov
-        half = enlarged * _NORMAL_95 * np.sqrt(np.maximum(dd - 2.0 * s * ad + s * s * aa, 0.0))
-        middle = wall.z[1] * normal + s[:, None] * along
-        outline = np.concatenate([middle + half[:, None] * normal, (middle - half[:, None] * normal)[::-1]])
-        ax.fill(*(pose @ outline).T, color=LANDMARK, alpha=0.3, linewidth=0.0, zorder=3, label=label)
-        label = None
-    label_plane(ax)
-
-
 def draw_state(
     ax: Any, mean: Array, cov: Array, color: str = ESTIMATE, label: str | None = None, enlarged: float = 1.0
 ) -> None:
@@ -244,55 +220,6 @@ def draw_correlation(ax: Any, cov: Array, title: str = "") -> None:
     ax.set_title(title)
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Features in both or only one of two extractions of a scan; robot frame, metres."""
-
-    kept: Array
-    """(K, 2) landmarks in both, at the positions of the new settings"""
-    lost: Array
-    """(L, 2) landmarks of the default settings only"""
-    gained: Array
-    """(G, 2) landmarks of the new settings only"""
-    walls_kept: Array
-    """(W, 2, 2) walls of the new settings that are in both"""
-    walls_lost: Array
-    """(W, 2, 2) walls of the default settings only"""
-    walls_gained: Array
-    """(W, 2, 2) walls of the new settings only"""
-
-    def __str__(self) -> str:
-        return (
-            f"landmarks: {len(self.lost)} lost, {len(self.gained)} gained; "
-            f"walls: {len(self.walls_lost)} lost, {len(self.walls_gained)} gained"
-        )
-
-
-def compare_features(features: Features, usual: Features) -> Change:
-    """Compare features with the `usual` ones: points within 0.15 m and walls within 0.1 m are the same."""
-    new, old = (
-        np.array([s.z for s in one.observations if not s.is_wall], dtype=np.float64).reshape(-1, 2)
-        for one in (features, usual)
-    )
-    gaps = np.linalg.norm(new[:, None] - old[None], axis=2)
-    is_known, is_found = (gaps <= _SAME_POINT_M).any(axis=1), (gaps <= _SAME_POINT_M).any(axis=0)
-    known, found = _covered(features.walls, usual.walls), _covered(usual.walls, features.walls)
-    return Change(
-        new[is_known], old[~is_found], new[~is_known],
-        features.walls[known], usual.walls[~found], features.walls[~known],
-    )  # fmt: skip
-
-
-def _covered(walls: Array, others: Array) -> Any:
-    """(W,) whether each of `walls` (W, 2, 2) lies on `others` (V, 2, 2)."""
-    if len(others) == 0:
-        return np.zeros(len(walls), dtype=np.bool_)
-    shares = np.array([0.25, 0.5, 0.75])
-    along = walls[:, None, 0] + shares[None, :, None] * (walls[:, None, 1] - walls[:, None, 0])  # (W, 3, 2)
-    off = np.array([[point_segment_distance(p, others).min() for p in wall] for wall in along]).reshape(-1, 3)
-    return (off <= _SAME_WALL_M).all(axis=1)
-
-
 def strays_m(pose: Pose, features: Features, scene: Scene) -> float:
     """Largest distance, metres, of a detected wall from the true walls, for a scan from the true `pose`."""
     along = np.linspace(0.0, 1.0, 21)[:, None]
@@ -300,18 +227,12 @@ def strays_m(pose: Pose, features: Features, scene: Scene) -> float:
     return max((float(point_segment_distance(p, scene.walls).min()) for part in points for p in part), default=0.0)
 
 
-def draw_change(ax: Any, pose: Pose, change: Change) -> None:
-    """Draw the features of a scan at `pose`, with lost ones (crosses, dotted) and gained ones (green)."""
-    draw_segments(ax, pose @ change.walls_kept, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="detected walls")
-    style: dict[str, Any] = {"colors": LANDMARK, "linewidths": 1.4, "linestyles": ":", "zorder": 4.5}
-    draw_segments(ax, pose @ change.walls_lost, label="lost walls", **style)
-    draw_segments(ax, pose @ change.walls_gained, colors=PLAN, linewidths=2.4, zorder=4, label="gained walls")
-    hollow: dict[str, Any] = {"s": 50.0, "facecolors": "none", "linewidths": 1.6}
-    kept, lost, gained = (pose @ points for points in (change.kept, change.lost, change.gained))
-    ax.scatter(*kept.T, edgecolors=OBSERVATION, zorder=5, label="detected landmarks", **hollow)
-    ax.scatter(*lost.T, s=45.0, marker="x", color=LANDMARK, linewidths=1.6, zorder=6, label="lost landmarks")
-    ax.scatter(*gained.T, edgecolors=PLAN, zorder=6, label="gained landmarks", **hollow)
-    label_plane(ax)
+def draw_change(ax: Any, pose: Pose, features: Features, usual: Features) -> None:
+    """Draw the features of a scan at `pose` over those of the `usual` settings (crosses, dotted)."""
+    draw_segments(ax, pose @ usual.walls, colors=LANDMARK, linewidths=3.0, linestyles=":", label="walls by default")
+    points = pose @ np.array([seen.z for seen in usual.observations if not seen.is_wall]).reshape(-1, 2)
+    ax.scatter(*points.T, s=45.0, marker="x", color=LANDMARK, linewidths=1.6, label="landmarks by default")
+    draw_detections(ax, pose, features)
 
 
 @dataclass

@@ -12,8 +12,8 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator
-from sixthsense.testing import worlds
-from sixthsense.testing.worlds import CONVERGED, Part, fed, joint_state
+from sixthsense.testing import estimators as worlds
+from sixthsense.testing.estimators import CONVERGED, Part, fed, joint_state
 
 __all__ = ["CONVERGED", "fed", "joint_state"]
 

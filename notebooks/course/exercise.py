@@ -7,7 +7,7 @@ import inspect
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -21,9 +21,6 @@ Draw = Callable[[np.random.Generator], tuple[Any, ...]]
 """arguments of an answer, drawn anew for each case"""
 Wrong = tuple[str, Callable[[int], list[Array]]]
 """a hint, and the results of the wrong answer that it explains in a case"""
-Mistakes = Mapping[str, Mapping[str, Callable[..., Any]]]
-"""of an exercise, wrong answers that no pattern explains, by their hint"""
-
 CASES = 5
 """on which an answer is called"""
 _TOLERANCE = 1e-6
@@ -38,7 +35,10 @@ class Exercise:
     results: tuple[str, ...]
     """what the function returns, by name"""
     draw: Draw
-    reference: Callable[..., Any]
+    reference: Callable[..., Any] | None = None
+    """the package's own function; None: the solution that is folded in the notebook"""
+    mistakes: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
+    """wrong answers that no pattern explains, by their hint: functions of the right one and of its arguments"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ def cases(exercise: Exercise) -> list[tuple[Any, ...]]:
     return [exercise.draw(np.random.default_rng(seed)) for seed in range(CASES)]
 
 
-def compared(exercise: Exercise, mistakes: Mapping[str, Callable[..., Any]], answer: Callable[..., Any]) -> str:
-    """What is off in an answer, by the reference; empty if nothing. Raises NotImplementedError as the answer does."""
+def compared(exercise: Exercise, reference: Callable[..., Any], answer: Callable[..., Any]) -> str:
+    """What is off in an answer, by a reference; empty if nothing. Raises NotImplementedError as the answer does."""
     given, found, count = cases(exercise), list[list[Array]](), len(exercise.results)
     for one in given:
         kept = copy.deepcopy(one)
@@ -83,34 +83,32 @@ def compared(exercise: Exercise, mistakes: Mapping[str, Callable[..., Any]], ans
             return f"it raises {type(error).__name__}: {error}"
         if not _same(_as_arrays(kept), _as_arrays(one)):
             return "it changes one of its arguments: work on a copy"
-    right = [_as_results(exercise.reference(*one), count) for one in given]
+    right = [_as_results(reference(*one), count) for one in given]
     first = next((k for k in range(CASES) if not _same(found[k], right[k])), None)
     if first is None:
         return ""
     off = _difference(exercise.results, found[first], right[first])
-    hints = (hint for hint, wrong in wrong_answers(exercise, mistakes, answer) if _explains(wrong, found, right))
+    hints = (hint for hint, wrong in wrong_answers(exercise, reference, answer) if _explains(wrong, found, right))
     hint = next(hints, None) or _factor(exercise.results, found, right)
     return f"{hint} ({off})" if hint else off
 
 
-def wrong_answers(
-    exercise: Exercise, mistakes: Mapping[str, Callable[..., Any]], answer: Callable[..., Any]
-) -> Iterator[Wrong]:
+def wrong_answers(exercise: Exercise, reference: Callable[..., Any], answer: Callable[..., Any]) -> Iterator[Wrong]:
     """Wrong answers with their hints, which name arguments as the answer does."""
     given, count = cases(exercise), len(exercise.results)
-    right = [_as_results(exercise.reference(*one), count) for one in given]
+    right = [_as_results(reference(*one), count) for one in given]
     for hint, change in _RESULTS:
         for n, name in enumerate(exercise.results):
             yield f"{name} {hint}", partial(_with_changed, right, change, n)
     yield "the results are in the wrong order", lambda k: right[k][::-1]
-    for hint, wrong in mistakes.items():
-        yield hint, partial(_results_of, wrong, given, count)
+    for hint, wrong in exercise.mistakes.items():
+        yield hint, partial(_results_of, partial(wrong, reference), given, count)
     names = [*inspect.signature(answer).parameters]
     if len(names) != len(given[0]):
-        names = [*inspect.signature(exercise.reference).parameters][: len(given[0])]
+        names = [*inspect.signature(reference).parameters][: len(given[0])]
     changed = [[*_changes(names, one)] for one in given]
     for n, (hint, _) in enumerate(changed[0]):
-        yield hint, partial(_results_of, exercise.reference, [one[n][1] for one in changed], count)
+        yield hint, partial(_results_of, reference, [one[n][1] for one in changed], count)
     if all(isinstance(value, Pose) for value in given[0]):
         hint = "poses are subtracted number by number: see one from the other"
         yield hint, partial(_results_of, _subtracted, given, count)

@@ -86,24 +86,20 @@ def observation_jacobian(pose: Array, landmark: Array, is_wall: bool) -> Array:
 
 
 def batch_posterior(
-    log: Log,
-    start: Pose,
-    start_cov: Array,
-    wheels: ParameterEstimate[Wheels] | None = None,
-    restarts: Mapping[int, Odometry] | None = None,
+    log: Log, start: Pose, start_cov: Array, wheels: ParameterEstimate[Wheels] | None = None
 ) -> Posterior:
     """The posterior of a log by Gauss-Newton iterations from dead reckoning and the first observations.
 
     `start_cov` (3, 3) and the covariances of odometry must be invertible. With a prior of `wheels` their parameters are
-    estimated, too. At an entry of the log with one of the `restarts` the robot is put there, `T_world_robot` with its
-    covariance as `placed`, before the motion of the entry: another run with the same landmarks.
+    estimated, too.
     """
-    restarts = restarts or {}
-    poses, landmarks, walls = _initial(log, start, restarts)
+    poses, landmarks, walls = _initial(log, start)
     of_wheels = [] if wheels is None else [wheels.values.array()]
     x = np.concatenate([*poses, *landmarks.values(), *of_wheels])
     of_landmarks = {i: 3 * len(poses) + 2 * k + np.arange(2) for k, i in enumerate(landmarks)}
-    factors = _factors(log, placed(start, start_cov), of_landmarks, wheels, restarts)
+    factors = _factors(log, of_landmarks, wheels)
+    to_start = np.linalg.inv(move_covariance((0.0, 0.0, -start.theta), start_cov))
+    factors.append(_Factor(np.arange(3), lambda x: between(start.array(), x), to_start))
     for _ in range(_ITERATIONS):
         information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         for factor in factors:
@@ -122,19 +118,11 @@ def batch_posterior(
     return Posterior(list(landmarks), x[kept], 0.5 * (cov + cov.T), angles)
 
 
-def placed(pose: Pose, cov: Array) -> Odometry:
-    """A pose as a motion from the world's origin, by its covariance (3, 3) in world axes."""
-    return Odometry(pose, move_covariance((0.0, 0.0, -pose.theta), cov))
-
-
-def _initial(
-    log: Log, start: Pose, restarts: Mapping[int, Odometry]
-) -> tuple[list[Array], dict[LandmarkId, Array], dict[LandmarkId, bool]]:
+def _initial(log: Log, start: Pose) -> tuple[list[Array], dict[LandmarkId, Array], dict[LandmarkId, bool]]:
     """Poses by dead reckoning, the start first; landmarks at their first observation; which of them are walls."""
     poses, landmarks, walls = [start.array()], {}, {}
-    for k, (odometry, observations) in enumerate(log):
-        before = restarts[k].motion if k in restarts else Pose.from_array(poses[-1])
-        poses.append((before @ odometry.motion).array())
+    for odometry, observations in log:
+        poses.append((Pose.from_array(poses[-1]) @ odometry.motion).array())
         for i, observation in observations.items():
             if i not in landmarks:
                 landmarks[i] = to_world(poses[-1], observation.z, observation.is_wall)
@@ -143,34 +131,22 @@ def _initial(
 
 
 def _factors(
-    log: Log,
-    start: Odometry,
-    of_landmarks: Mapping[LandmarkId, Places],
-    wheels: ParameterEstimate[Wheels] | None,
-    restarts: Mapping[int, Odometry],
+    log: Log, of_landmarks: Mapping[LandmarkId, Places], wheels: ParameterEstimate[Wheels] | None
 ) -> list[_Factor]:
-    """Priors, odometry and observations."""
-    factors = [_start(np.arange(3), start)]
+    """Odometry, observations, and the prior of the wheels."""
+    factors = []
     of_wheels = 3 * len(log) + 3 + 2 * len(of_landmarks) + np.arange(PARAMETERS if wheels is not None else 0)
     if wheels is not None:
         mean = wheels.values.array()
-        factors.append(_Factor(of_wheels, lambda x: x - mean, _inverse(wheels.cov)))
+        factors.append(_Factor(of_wheels, lambda x: x - mean, np.linalg.inv(wheels.cov)))
     for k, (odometry, observations) in enumerate(log):
         before, after = 3 * k + np.arange(3), 3 * k + 3 + np.arange(3)
         at = np.concatenate([before, after, of_wheels])
-        if k in restarts:
-            factors.append(_start(after, restarts[k].then(odometry)))
-        else:
-            factors.append(_Factor(at, _motion_residual(odometry), _inverse(odometry.cov)))
+        factors.append(_Factor(at, _motion_residual(odometry), np.linalg.inv(odometry.cov)))
         for i, observation in observations.items():
             at = np.append(after, of_landmarks[i])
-            factors.append(_Factor(at, _observation_residual(observation), _inverse(observation.cov)))
+            factors.append(_Factor(at, _observation_residual(observation), np.linalg.inv(observation.cov)))
     return factors
-
-
-def _start(at: Places, start: Odometry) -> _Factor:
-    """The prior of a pose."""
-    return _Factor(at, lambda x: between(start.motion.array(), x), _inverse(start.cov))
 
 
 def _motion_residual(odometry: Odometry) -> Residual:
@@ -190,10 +166,6 @@ def _observation_residual(observation: Observation) -> Residual:
         return _difference(to_robot(x[:3], x[3:], observation.is_wall), observation.z, observation.is_wall)
 
     return residual
-
-
-def _inverse(cov: Array) -> Array:
-    return np.asarray(np.linalg.inv(cov), dtype=np.float64)
 
 
 def _difference(one: Array, two: Array, is_wall: bool) -> Array:

@@ -22,7 +22,7 @@ from sixthsense.core.motion import STANDSTILL, Odometry, rk4
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.slam.estimators import EstimatorFactory
 from sixthsense.testing.batch import to_robot
-from sixthsense.testing.worlds import make
+from sixthsense.testing.estimators import make
 
 STEPS, STEP_S = 2500, 1.0
 SPEED, TURN_RATE = 0.25, math.radians(1.5)  # m/s, rad/s

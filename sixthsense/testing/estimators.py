@@ -1,43 +1,168 @@
 """The laws of the contract of `Estimator`, clause by clause as `slam/estimators/base.py` numbers them.
 
-Each is checked among points, among walls and among both. Statistics are compared with batch least squares, which shares
-no code with the estimators.
+Each is checked on drives through small worlds of points, of walls and of both. Statistics are compared with batch least
+squares, which shares no code with the estimators.
+
+The noise is small, so that all estimators linearize at nearly the same place: their posteriors differ by about the
+noise, relative to a lever of 1 m. A wrong covariance of an observation, a wrong Jacobian or a lost correlation changes
+the posterior by a part of itself, whatever the noise.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.config import ISAM2Config
+from sixthsense.config.parts import ESTIMATORS, options_class
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
+from sixthsense.slam.estimators import Estimate, Estimator, EstimatorFactory, make_estimator
+from sixthsense.testing.batch import Log, Posterior, batch_posterior, to_robot
 from sixthsense.testing.laws import Laws, agree, at_most, equal, raises
-from sixthsense.testing.worlds import (
-    BOTH,
-    MOTION,
-    NOISE,
-    POINTS,
-    ROUNDING,
-    START,
-    START_COV,
-    TOLERANCE,
-    WALLS,
-    WORLDS,
-    Part,
-    World,
-    assert_agrees,
-    assert_same,
-    assert_unchanged,
-    drive,
-    driven,
-    fed,
-    make,
-    marginal,
-    state_of,
-)
+
+Part = str | EstimatorFactory
+"""an estimator's name or class"""
+
+NOISE = 2.5e-4  # m and rad; GTSAM drops the correlations of a covariance whose off-diagonal is below 1e-9
+TOLERANCE = 0.01  # of a sigma, and of a variance in any direction
+ROUNDING = 1e-6  # the same, where nothing but the order of computation differs
+# Away from the world's origin, where the offset of a wall depends strongly on its angle.
+START = Pose(4.0, -3.0, 0.4)
+START_COV = NOISE**2 * np.array([[2.0, 0.5, 0.3], [0.5, 3.0, -0.4], [0.3, -0.4, 1.0]])
+MOTION = Odometry(Pose(0.6, 0.05, 0.25), NOISE**2 * np.array([[1.0, 0.2, 0.1], [0.2, 0.5, 0.1], [0.1, 0.1, 0.3]]))
+POINT_COV = NOISE**2 * np.array([[1.0, 0.4], [0.4, 2.0]])
+WALL_COV = NOISE**2 * np.array([[0.3, 0.2], [0.2, 1.0]])
+# The laws hold for the converged solution, and every match here is correct.
+CONVERGED = ISAM2Config(relinearize_threshold=1e-9, iterations=5, undo_probability=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Landmarks around the start."""
+
+    label: str
+    landmarks: Array
+    """(n, 2) x, y of a point, alpha, d of a wall, world frame; m and rad"""
+    kinds: tuple[Kind, ...]
+    """n"""
+
+    @property
+    def needs_walls(self) -> bool:
+        """Whether one of the landmarks is a wall."""
+        return Kind.WALL in self.kinds
+
+    def observation(self, i: LandmarkId, z: Array, cov: Array | None = None) -> Observation:
+        """An observation z (2,) of what landmark i is."""
+        is_wall = self.kinds[i] == Kind.WALL
+        cov = cov if cov is not None else WALL_COV if is_wall else POINT_COV
+        z = np.array([wrap_angle(float(z[0])), z[1]]) if is_wall else z
+        return Observation(self.kinds[i], z, cov, (-1.0, 1.0) if is_wall else (0.0, 0.0))
+
+    def sight(self, pose: Pose, ids: Iterable[LandmarkId], rng: np.random.Generator) -> dict[LandmarkId, Observation]:
+        """Noisy observations of landmarks from a pose."""
+        observations = {}
+        for i in ids:
+            exact = self.observation(i, to_robot(pose.array(), self.landmarks[i], self.kinds[i] == Kind.WALL))
+            observations[i] = self.observation(i, exact.z + np.linalg.cholesky(exact.cov) @ rng.standard_normal(2))
+        return observations
+
+
+_POINTS = np.array([[7.0, -1.5], [3.0, 0.0], [6.0, -5.0]])
+# Normals towards the robot. The second wall's angle in the robot's frame passes a half turn on the drive.
+_WALLS = np.array([[0.3, -3.0], [-2.3, -5.5], [1.7, -7.0]])
+POINTS = World("points", _POINTS, (Kind.CORNER, Kind.END, Kind.CORNER))
+WALLS = World("walls", _WALLS, (Kind.WALL,) * 3)
+BOTH = World("points and walls", np.vstack([_POINTS[:2], _WALLS[:2]]), (*POINTS.kinds[:2], *WALLS.kinds[:2]))
+WORLDS = (POINTS, WALLS, BOTH)
+
+
+def make(part: Part, start: Pose = START, start_cov: Array = START_COV, isam2: ISAM2Config = CONVERGED) -> Estimator:
+    """A new estimator at a start with covariance `start_cov` (3, 3); the smoother is made with `isam2`."""
+    factory = ESTIMATORS.load(part) if isinstance(part, str) else part
+    return make_estimator(factory, start, start_cov, isam2 if options_class(factory) is ISAM2Config else None)
+
+
+def fed(estimator: Estimator, log: Iterable[tuple[Odometry, Mapping[LandmarkId, Observation]]]) -> Estimator:
+    """The estimator after the inputs of a drive."""
+    for odometry, observations in log:
+        estimator.predict(odometry)
+        estimator.update(observations)
+    return estimator
+
+
+@cache
+def drive(world: World, steps: int) -> tuple[Log, Pose]:
+    """The log of a drive of `steps` updates, and the true pose at its end.
+
+    The first two updates see all landmarks but the last, later ones two or all of them.
+    """
+    rng = np.random.default_rng(7)
+    true = Pose.from_array(START.array() + np.linalg.cholesky(START_COV) @ rng.standard_normal(3))
+    count, log = len(world.kinds), []
+    for k in range(steps):
+        error = np.linalg.cholesky(MOTION.cov) @ rng.standard_normal(3)
+        true = true @ MOTION.motion @ Pose.from_array(error)
+        ids = range(count - 1) if k < 2 else range(count) if k % 3 else [k % count, (k + 1) % count]
+        log.append((MOTION, world.sight(true, list(ids), rng)))
+    return log, true
+
+
+def driven(part: Part, world: World, steps: int = 6, unseen: Collection[LandmarkId] = ()) -> Estimator:
+    """An estimator after the drive, on which the landmarks `unseen` are not observed."""
+    log = [(motion, {i: s for i, s in seen.items() if i not in unseen}) for motion, seen in drive(world, steps)[0]]
+    return fed(make(part), log)
+
+
+def joint_state(estimator: Estimator) -> tuple[Estimate, Array]:
+    """The estimate and the joint covariance of pose and all landmarks."""
+    estimate = estimator.estimate()
+    return estimate, estimator.joint_covariance(estimate.ids.tolist())
+
+
+def state_of(estimator: Estimator) -> Posterior:
+    """The estimator's own posterior, of pose and all landmarks."""
+    estimate, joint = joint_state(estimator)
+    angles = np.array([False, False, True, *(flag for wall in estimate.walls for flag in (bool(wall), False))])
+    return Posterior(estimate.ids.tolist(), np.append(estimate.pose.array(), estimate.landmarks), joint, angles)
+
+
+def marginal(posterior: Posterior, ids: Sequence[LandmarkId]) -> Posterior:
+    """A posterior of the pose and these landmarks alone."""
+    rows = [0, 1, 2, *(3 + 2 * posterior.ids.index(i) + n for i in ids for n in (0, 1))]
+    return Posterior([*ids], posterior.mean[rows], posterior.cov[np.ix_(rows, rows)], posterior.angles[rows])
+
+
+def assert_agrees(found: Estimator | Posterior, reference: Posterior, tolerance: float = TOLERANCE) -> None:
+    """Assert that mean and covariance agree with the reference in every direction, relative to its sigma there."""
+    state = found if isinstance(found, Posterior) else state_of(found)
+    equal("landmarks", state.ids, reference.ids)
+    root = np.linalg.cholesky(reference.cov)
+    error = state.mean - reference.mean
+    error[reference.angles] = wrap_angle(error[reference.angles])
+    ratios = np.linalg.eigvalsh(np.linalg.solve(root, np.linalg.solve(root, state.cov).T))
+    low, high = float(ratios[0]), float(ratios[-1])
+    text = f"covariance: found {low:.6g} to {high:.6g} times the variance of the reference"
+    assert low > 1.0 - tolerance and high < 1.0 + tolerance, f"{text}, allowed: 1 within {tolerance:.3g}"
+    at_most("mean, in sigma from the reference", float(np.linalg.norm(np.linalg.solve(root, error))), tolerance)
+
+
+def assert_same(found: Estimator, reference: Posterior) -> None:
+    """Assert that an estimator's posterior is the reference but for rounding."""
+    assert_agrees(found, reference, ROUNDING)
+
+
+def assert_unchanged(estimator: Estimator, before: Posterior, rows: Array) -> None:
+    """Assert that posterior and trajectory (K, 3) of an estimator are those of before but for rounding."""
+    assert_same(estimator, before)
+    agree("trajectory", estimator.trajectory(), rows, atol=ROUNDING * NOISE)
+
 
 LAWS = Laws()
 
@@ -57,9 +182,7 @@ _BAD_COVS = {
 
 def _wide(cov: list[list[float]]) -> Array:
     """(3, 3) an invalid covariance of a pose."""
-    found = 0.01 * np.eye(3)
-    found[:2, :2] = cov
-    return found
+    return np.asarray(block_diag(cov, 0.01))
 
 
 def _seen(world: World, seed: int, steps: int = 6) -> dict[int, Observation]:
@@ -105,30 +228,15 @@ def predicting_in_pieces_is_predicting_at_once(part: Part, world: World) -> None
     for k in range(5):
         piece = Odometry(Pose(0.1 * k, 0.01, -0.2), MOTION.cov)
         folded = folded.then(piece)
-        pieces.predict(piece)
-        queried.predict(piece)
+        for estimator in (pieces, queried):
+            estimator.predict(piece)
         queried.estimate()
     once.predict(folded)
-    true = drive(world, 6)[1] @ folded.motion
-    for after in ({}, world.sight(true, [0, len(world.kinds) - 1], np.random.default_rng(5))):
-        for estimator in (queried, pieces):
-            assert_same(estimator, state_of(once))
-        for estimator in (queried, pieces, once):
+    seen = world.sight(drive(world, 6)[1] @ folded.motion, [0, len(world.kinds) - 1], np.random.default_rng(5))
+    for after in ({}, seen):
+        for estimator in (once, queried, pieces):
             estimator.update(after)
-    for estimator in (queried, pieces):
-        assert_unchanged(estimator, state_of(once), once.trajectory())
-
-
-@LAWS.law(1, WORLDS)
-def an_exact_motion_moves_the_pose_and_transports_its_covariance(part: Part, world: World) -> None:
-    estimator = driven(part, world)
-    before, motion = estimator.estimate(), Pose(0.5, 0.1, 0.2)
-    estimator.predict(Odometry(motion, _EXACT))
-    after, shift = estimator.estimate(), rotation(before.pose.theta) @ motion.position
-    by_pose = np.eye(3)
-    by_pose[:2, 2] = -shift[1], shift[0]
-    agree("pose", after.pose.array(), (before.pose @ motion).array(), atol=1e-12)
-    agree("pose_cov", after.pose_cov, by_pose @ before.pose_cov @ by_pose.T, atol=1e-4 * NOISE**2)
+            assert_unchanged(estimator, state_of(once), once.trajectory())
 
 
 @LAWS.law(1, _MOTIONS)
@@ -152,25 +260,9 @@ def a_drive_gives_the_posterior_of_batch_least_squares(part: Part, case: tuple[W
     """After one update: of new landmarks; after two: of known ones; after eight: of both, and of walls behind."""
     world, place, steps = case
     log, moved = drive(world, steps)[0], _PLACES[place]
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(moved.theta)
+    turn = block_diag(rotation(moved.theta), 1.0)
     start, start_cov = moved @ START, turn @ START_COV @ turn.T
     assert_agrees(fed(make(part, start, start_cov), log), batch_posterior(log, start, start_cov))
-
-
-@LAWS.law(2, WORLDS)
-def an_observation_with_zero_innovation_moves_nothing_and_grows_no_marginal(part: Part, world: World) -> None:
-    estimator = driven(part, world)
-    estimator.predict(MOTION)
-    before = state_of(estimator)
-    pose, landmarks = before.mean[:3], before.mean[3:].reshape(-1, 2)
-    walls = estimator.estimate().walls
-    expected = [to_robot(pose, landmark, bool(wall)) for landmark, wall in zip(landmarks, walls, strict=True)]
-    estimator.update({i: world.observation(i, z) for i, z in zip(before.ids, expected, strict=True)})
-    after, sigmas = state_of(estimator), np.sqrt(np.diag(before.cov))
-    agree("mean, in sigma", after.mean / sigmas, before.mean / sigmas, atol=1e-2 * TOLERANCE, rtol=1e-9)
-    least = float(np.linalg.eigvalsh((before.cov - after.cov) / np.outer(sigmas, sigmas))[0])
-    at_most("growth of a variance in some direction, relative", -least, 1e-4)
 
 
 @LAWS.law(2, WORLDS)
@@ -200,18 +292,20 @@ def a_forgotten_landmark_seen_again_is_new(part: Part, world: World) -> None:
 
 @LAWS.law(2, WORLDS)
 def forgetting_a_landmark_leaves_the_others_unchanged(part: Part, world: World) -> None:
-    """The marginal stays, or the observations of the forgotten landmark are removed as well, as by a smoother."""
-    estimator, last = driven(part, world), len(world.kinds) - 1
-    before, rows = state_of(estimator), estimator.trajectory()
-    left = [i for i in before.ids if i != last]
-    estimator.forget([last])
-    try:
-        assert_same(estimator, marginal(before, left))
-    except AssertionError:
-        assert_agrees(estimator, state_of(driven(part, world, unseen=[last])), 1e-3)
-    equal("rows of the trajectory", len(estimator.trajectory()), len(rows))
-    estimator.update({last: _new(world)})
-    equal("landmarks after it was seen again", estimator.estimate().ids.tolist(), [*left, last])
+    """One or all. The marginal stays, or their observations are removed as well, as by a smoother."""
+    last = len(world.kinds) - 1
+    for gone in ([last], [*range(last + 1)]):
+        estimator = driven(part, world)
+        before, rows = state_of(estimator), estimator.trajectory()
+        left = [i for i in before.ids if i not in gone]
+        estimator.forget(gone)
+        try:
+            assert_same(estimator, marginal(before, left))
+        except AssertionError:
+            assert_agrees(estimator, state_of(driven(part, world, unseen=gone)), 1e-3)
+        equal("rows of the trajectory", len(estimator.trajectory()), len(rows))
+        estimator.update({last: _new(world)})
+        equal("landmarks after it was seen again", estimator.estimate().ids.tolist(), [*left, last])
 
 
 @LAWS.law(2)
@@ -227,37 +321,19 @@ def forgetting_no_landmark_or_an_unknown_one_changes_nothing(part: Part) -> None
         assert_unchanged(estimator, before, rows)
 
 
-@LAWS.law(2, WORLDS)
-def forgetting_all_landmarks_leaves_the_pose(part: Part, world: World) -> None:
-    estimator = driven(part, world)
-    estimator.forget(range(len(world.kinds)))
-    estimate = estimator.estimate()
-    equal("landmarks", estimate.ids.tolist(), [])
-    equal("shape of the landmarks", estimate.landmarks.shape, (0, 2))
-    equal("shape of the joint covariance", estimator.joint_covariance([]).shape, (3, 3))
-    at_most("distance from the truth, m", math.dist(estimate.pose.position, drive(world, 6)[1].position), 20.0 * NOISE)
-    estimator.predict(MOTION)
-    z = to_robot(estimator.estimate().pose.array(), world.landmarks[0], world.kinds[0] == Kind.WALL)
-    estimator.update({0: world.observation(0, z)})
-    equal("landmarks", estimator.estimate().ids.tolist(), [0])
-
-
 @LAWS.law(2)
 def the_trajectory_has_one_row_per_update_and_starts_empty(part: Part) -> None:
     """Updates without observations add rows, too: the poses of odometry alone."""
-    estimator, folded, rows = make(part), STANDSTILL, []
+    estimator, pose, rows = make(part), START, []
     equal("shape of the trajectory", estimator.trajectory().shape, (0, 3))
     for k in range(120):
         if k % 3:
             estimator.predict(MOTION)
-            folded = folded.then(MOTION)
+            pose = pose @ MOTION.motion
         estimator.update({})
-        rows.append((START @ folded.motion).array())
+        rows.append(pose.array())
     agree("trajectory", estimator.trajectory(), np.array(rows), atol=1e-9)
-    alone = make(part)
-    alone.predict(folded)
-    assert_agrees(estimator, state_of(alone), 1e-4)
-    estimator.update(POINTS.sight(START @ folded.motion, range(3), np.random.default_rng(2)))
+    estimator.update(POINTS.sight(pose, range(3), np.random.default_rng(2)))
     equal("shape of the trajectory", estimator.trajectory().shape, (121, 3))
     agree("last row", estimator.trajectory()[-1], estimator.estimate().pose.array(), atol=1e-12)
 
@@ -399,7 +475,6 @@ def a_scan_with_a_wall_is_used_or_refused_as_a_whole(part: Part) -> None:
 @LAWS.law(8, [BOTH])
 def walls_are_returned_as_walls(part: Part, world: World) -> None:
     estimate = driven(part, world).estimate()
-    equal("type of walls", estimate.walls.dtype, np.dtype(np.bool_))
     equal("walls", estimate.walls.tolist(), [world.kinds[i] == Kind.WALL for i in estimate.ids])
     alpha = estimate.landmarks[estimate.walls, 0]
     assert ((alpha >= -math.pi) & (alpha < math.pi)).all(), f"found angles {alpha.tolist()}, allowed: [-pi, pi)"

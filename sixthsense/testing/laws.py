@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,11 +44,10 @@ class Laws(list[Law]):
             name = name if clause is None else f"clause {clause}: {name}"
             if not cases:
                 self.append(Law(name, check, is_optional=is_optional))
-            for k, case in enumerate(cases):
+            for case in cases:
                 of_case = case if isinstance(case, tuple) else (case,)
-                labels = [one if isinstance(one, str | int | float) else getattr(one, "label", k) for one in of_case]
+                label = ", ".join(str(getattr(one, "label", one)) for one in of_case)
                 needs_walls = any(getattr(one, "needs_walls", False) for one in of_case)
-                label = ", ".join(map(str, labels))
                 self.append(Law(f"{name} [{label}]", _with_case(check, case), needs_walls, is_optional))
             return check
 
@@ -57,23 +55,17 @@ class Laws(list[Law]):
 
     def named(self, name: str) -> Law:
         """The law with that name, with or without its clause; KeyError for another."""
-        for law in self:
-            if name in (law.name, law.name.partition(": ")[2]):
-                return law
-        raise KeyError(name)
+        return {key: law for law in self for key in (law.name, law.name.partition(": ")[2])}[name]
 
 
 def _with_case(check: Check, case: Any) -> Callable[[Any], None]:
-    def checked(part: Any) -> None:
-        check(part, case)
-
-    return checked
+    return lambda part: check(part, case)
 
 
 class Failures(dict[str, str]):
     """What a part was found to do, by the name of the law that it breaks; empty if it keeps all that were tested."""
 
-    def __init__(self, laws: Iterable[Law], part: Any, skipped: dict[str, str]) -> None:
+    def __init__(self, part: Any, laws: Iterable[Law], skipped: dict[str, str]) -> None:
         """Check the part against laws; `skipped` are those that are not tested, with the reason."""
         super().__init__()
         self.skipped = skipped
@@ -98,11 +90,6 @@ class Failures(dict[str, str]):
         return "\n".join(lines)
 
 
-def checks_of(laws: Iterable[Law], part: Any) -> Iterator[tuple[str, Callable[[], None]]]:
-    """The name of each law, and its check of a part."""
-    return ((law.name, partial(law.check, part)) for law in laws)
-
-
 def message_of(error: Exception) -> str:
     """An error in one line, with its type unless an assertion of a law raised it."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
@@ -120,6 +107,11 @@ def agree(what: str, found: ArrayLike, allowed: ArrayLike, atol: float = 0.0, rt
         at = np.unravel_index(int(np.argmax(np.where(beyond, off, -1.0))), off.shape)
         place = f" at {[int(k) for k in at]}" if at else ""
         raise AssertionError(f"{what}: found a difference of {off[at]:.3g}{place}, allowed {most[at]:.3g}")
+
+
+def refuse(message: str) -> None:
+    """Raise AssertionError if there is a message."""
+    assert not message, message
 
 
 def at_most(what: str, found: float, allowed: float) -> None:

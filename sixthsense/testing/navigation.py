@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from sixthsense.navigation.planners.base import plan_fault
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.testing.laws import Laws, agree, at_most, equal, raises
+from sixthsense.testing.laws import Laws, agree, at_most, equal, refuse
 
 PLANNER_LAWS, EXPLORER_LAWS = Laws(), Laws()
 
@@ -62,8 +62,7 @@ def a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(part: Any
     planner: Planner = make_planner(part)
     for space, start, goal in _questions():
         plan = planner.plan(space, start, goal)
-        fault = plan_fault(plan, space, start, goal)
-        assert not fault, fault
+        refuse(plan_fault(plan, space, start, goal))
         if plan.found:
             agree("cost", plan.cost, space.path_cost(plan.path_world), atol=1e-9)
             assert not plan.path_world.flags.writeable, "found a path that may be written to, allowed: a read-only one"
@@ -84,9 +83,7 @@ def what_stands_in_the_way_is_named_start_first(part: Any) -> None:
     space, rng = _space(3)
     inside = space.centre(*np.argwhere(space.blocked)[7].tolist())
     free, planner = _free(space, rng), make_planner(part)
-    for start, goal, allowed in (
-        (inside, free, "start blocked"), (free, inside, "goal blocked"), (inside, inside, "start blocked"),
-    ):  # fmt: skip
+    for start, goal, allowed in ((free, inside, "goal blocked"), (inside, inside, "start blocked")):
         plan = planner.plan(space, start, goal)
         equal("status", plan.status, allowed)
         equal("path and cost", (plan.path_world.shape, plan.cost), ((0, 2), math.inf))
@@ -102,97 +99,66 @@ def the_same_question_has_the_same_answer(part: Any) -> None:
         at_most("cost of the second answer", plans[2].cost, plans[0].cost + 1e-9)
 
 
-@PLANNER_LAWS.law()
-def unknown_cells_outside_the_space_are_free(part: Any) -> None:
-    space, _ = _space(5, 0.02)
-    start, goal = np.array([-2.6, 1.0]), np.array([-2.4, 3.1])
-    plan = make_planner(part).plan(space, start, goal)
-    equal("status", plan.status, "found")
-    fault = plan_fault(plan, space.covering(start, goal), start, goal)
-    assert not fault, fault
-
-
-@PLANNER_LAWS.law(is_optional=True)
-def an_end_that_is_no_point_raises_a_value_error(part: Any) -> None:
-    space, rng = _space(4)
-    free, planner = _free(space, rng), make_planner(part)
-    for bad in ((1.0,), (math.nan, 1.0), (1.0, 2.0, 3.0)):
-        for start, goal in ((np.array(bad), free), (free, np.array(bad))):
-            with raises(ValueError):
-                planner.plan(space, start, goal)
-
-
-class _Choice(NamedTuple):
-    """A target that an explorer has chosen."""
-
-    target: Target | None
-    fault: str
-    """what is wrong with it"""
-    has_changed_its_view: bool
-
-
 class _Watched:
-    """An explorer whose choices are kept."""
+    """An explorer whose targets are kept, with what is wrong with them."""
 
     def __init__(self, explorer: Explorer) -> None:
         self._explorer = explorer
-        self.choices: list[_Choice] = []
+        self.targets: list[Target | None] = []
+        self.faults: list[str] = []
 
     def next_target(self, view: ExplorationView) -> Target | None:
         masks = view.free, view.unseen, view.reachable
         before = [mask.copy() for mask in masks]
         target = self._explorer.next_target(view)
-        has_changed = not all(map(np.array_equal, before, masks))
-        self.choices.append(_Choice(target, target_fault(view, target), has_changed))
-        return None if self.choices[-1].fault else target
+        fault = target_fault(view, target)
+        if not all(map(np.array_equal, before, masks)):
+            fault = "found masks of the view that were written to"
+        self.targets.append(target)
+        self.faults += [fault] * bool(fault)
+        return None if fault else target
 
 
-def _explored(part: Any) -> tuple[list[_Choice], bool]:
-    """The choices of an explorer while a robot explores two rooms, jumping from view to view; and whether it ended."""
+def _explored(part: Any) -> tuple[_Watched, bool]:
+    """An explorer after a robot has explored two rooms, jumping from view to view; and whether it ended."""
     config, pose = preset(), Pose(1.1, 0.9, 0.3)
     x0, y0, x1, y1 = _ROOMS
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
     walls = np.concatenate([np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), _BETWEEN])
     grid = Grid(config.grid, _RADIUS_M)
 
-    def see() -> None:
-        ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
-        grid.add(pose, Scan.from_config(ranges, config.laser), np.zeros((0, 2, 2)))
-
     exploration = Exploration(pose.position, _ROOMS, _RADIUS_M, config, np.random.default_rng(4))
     watched, map_ = _Watched(make_part(EXPLORERS, part, np.random.default_rng(7))), DrivingMap(_RADIUS_M, config, True)
     exploration.explorer = watched
     for _ in range(_MOST_CHOICES):
-        see()
+        ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
+        grid.add(pose, Scan.from_config(ranges, config.laser), np.zeros((0, 2, 2)))
         map_.update(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
-        chosen = len(watched.choices)
+        chosen = len(watched.targets)
         goal = exploration.next(map_, pose, "looked")
-        if goal is not None and len(watched.choices) == chosen:
+        if goal is not None and len(watched.targets) == chosen:
             goal = exploration.next(map_, pose, "arrived")  # at a target that cannot be seen from there
         if goal is None or exploration.state != "viewing":
-            return watched.choices, True
-        x, y = goal.position.tolist()
-        pose = Pose(x, y, 0.3)
-    return watched.choices, False
+            return watched, True
+        pose = Pose(*goal.position.tolist(), 0.3)
+    return watched, False
 
 
 @EXPLORER_LAWS.law()
 def every_target_is_of_unseen_cells_and_seen_from_where_the_robot_can_drive(part: Any) -> None:
-    for choice in _explored(part)[0]:
-        assert not choice.fault, choice.fault
-        assert not choice.has_changed_its_view, "found masks of the view that were written to"
+    refuse("".join(_explored(part)[0].faults[:1]))
 
 
 @EXPLORER_LAWS.law()
 def the_other_room_is_looked_at_and_the_exploration_ends(part: Any) -> None:
-    choices, has_ended = _explored(part)
-    assert any(choice.target is not None for choice in choices), "found no target, allowed: some"
-    assert has_ended, f"found {len(choices)} targets and no end, allowed: None when nothing is left"
+    watched, has_ended = _explored(part)
+    assert any(watched.targets), "found no target, allowed: some"
+    assert has_ended, f"found {len(watched.targets)} targets and no end, allowed: None when nothing is left"
 
 
 @EXPLORER_LAWS.law()
 def the_same_map_and_generator_give_the_same_targets(part: Any) -> None:
-    one, other = ([choice.target for choice in _explored(part)[0]] for _ in range(2))
+    one, other = (_explored(part)[0].targets for _ in range(2))
     equal("targets and ends", [target is None for target in one], [target is None for target in other])
     for first, second in zip(one, other, strict=True):
         if first is not None and second is not None:

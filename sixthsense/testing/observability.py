@@ -17,7 +17,7 @@ from sixthsense.core.landmarks import Kind, Observation, rotation_generator
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.testing.batch import to_robot
-from sixthsense.testing.worlds import joint_state, make
+from sixthsense.testing.estimators import joint_state, make
 
 _POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
 _START, _START_COV = Pose(0.3, -0.2, 0.4), np.diag([0.02, 0.03, 0.01]) + 0.002

@@ -1,4 +1,4 @@
-"""The laws of the contracts of `Extractor` and `FrontEnd`."""
+"""The laws of the contracts of `Extractor`, `FrontEnd` and `PlaceSearch`."""
 
 from __future__ import annotations
 
@@ -8,23 +8,27 @@ import numpy as np
 from scipy.stats import chi2
 
 from sixthsense.config import Config, preset
-from sixthsense.config.parts import EXTRACTORS, FRONT_ENDS
+from sixthsense.config.parts import EXTRACTORS, FRONT_ENDS, PLACE_SEARCHES
 from sixthsense.config.tree import make_part
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
+from sixthsense.core.se2 import between
 from sixthsense.core.source import Command
 from sixthsense.simulation.world import World
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import make_estimator
+from sixthsense.slam.estimators import Estimate, make_estimator
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.features.extractor import features_fault
-from sixthsense.slam.front_end import Evidence, Finished, FrontEnd, FrontEndSetup
+from sixthsense.slam.front_end import Evidence, FrontEnd, FrontEndSetup
 from sixthsense.slam.motion_source import make_motion
-from sixthsense.testing.laws import Laws, agree, at_most, equal
+from sixthsense.slam.scans.known_places import KnownPlaces
+from sixthsense.slam.scans.place_search import Candidate, ExpectedPoses, PlaceQuery, is_same_place
+from sixthsense.slam.scans.returns import ScanStore
+from sixthsense.testing.laws import Laws, agree, at_most, equal, refuse
 
-EXTRACTOR_LAWS, FRONT_END_LAWS = Laws(), Laws()
+EXTRACTOR_LAWS, FRONT_END_LAWS, PLACE_LAWS = Laws(), Laws(), Laws()
 
 _CORNERS = np.array([(-3.1, -2.2), (3.7, -2.2), (3.7, 2.6), (0.9, 2.6), (0.9, 4.3), (-3.1, 4.3)])
 _FREE_WALLS = np.array([[[-1.2, -2.2], [-1.2, -0.7]], [[1.9, 0.4], [1.9, 1.4]]])
@@ -44,14 +48,12 @@ _FALSE_ALARM = 1e-3
 
 def extractor_of(part: Any, config: Config) -> Extractor:
     """An extractor by its name or its class."""
-    options = config.features if part == "lines" else None
-    made: Extractor = make_part(EXTRACTORS, part, config.assumed, options=options)
+    made: Extractor = make_part(EXTRACTORS, part, config.assumed, options=config.features if part == "lines" else None)
     return made
 
 
 def _scan(pose: Pose, config: Config, rng: np.random.Generator) -> Scan:
-    mount = Pose(*config.laser.mount)
-    ranges = cast_rays(pose @ mount, beam_bearings(config.laser), ROOM, config.laser.max_range)
+    ranges = cast_rays(pose @ Pose(*config.laser.mount), beam_bearings(config.laser), ROOM, config.laser.max_range)
     return Scan.from_config(ranges + rng.normal(0.0, config.assumed.laser.range_m, len(ranges)), config.laser)
 
 
@@ -62,7 +64,7 @@ def _seen(part: Any) -> list[tuple[Pose, Observation]]:
     for _ in range(_SCANS):
         for pose in _POSES:
             features = extractor.extract(_scan(pose, config, rng))
-            assert not features_fault(features), features_fault(features)
+            refuse(features_fault(features))
             found += [(pose, observation) for observation in features.observations]
     return found
 
@@ -108,7 +110,7 @@ def an_empty_scan_has_no_observation(part: Any) -> None:
     config = preset()
     scan = Scan.from_config(np.full(config.laser.beams, np.inf), config.laser)
     found = extractor_of(part, config).extract(scan)
-    assert not features_fault(found), features_fault(found)
+    refuse(features_fault(found))
     equal("observations", len(found.observations), 0)
 
 
@@ -127,18 +129,17 @@ def the_same_scans_give_the_same_observations_and_stay_as_they_are(part: Any) ->
 class Driven(NamedTuple):
     """What a front end made of a drive."""
 
-    faults: list[str]
-    """what is wrong with its keyframes"""
-    keyframes: int
-    poses: Array
-    """(T, 3) after each tick"""
-    truths: Array
-    """(T, 3)"""
+    has_written: bool
+    """whether it has changed the ranges of a scan"""
+    indices: list[int]
+    """of its keyframes"""
+    truth: Array
+    """(3,) pose at the end"""
     since_cov: Array
     """(3, 3) before the end"""
     trajectory: Array
     """(K, 3)"""
-    finished: Finished
+    final: Estimate
 
 
 def front_end_of(part: Any, seed: int) -> tuple[FrontEnd, FrontEndSetup]:
@@ -152,29 +153,22 @@ def front_end_of(part: Any, seed: int) -> tuple[FrontEnd, FrontEndSetup]:
 def _driven(part: Any, seed: int, count: int = 400) -> Driven:
     """A drive on an eight through the room."""
     front_end, setup = front_end_of(part, seed)
-    config, motion, faults, keyframes = setup.config, setup.motion, list[str](), 0
-    world = World(ROOM, _START, 0.15, config, np.random.default_rng(seed))
-    tick = world.step(Command())
-    poses, truths, last = list[Array](), list[Array](), None
-    while tick is not None and len(poses) < count:
-        increment = None
-        if last is not None:
-            increment = motion.increment(last.odometry, tick, config.robot.control_period_s, front_end.since.motion)
-        before = None if tick.scan is None else tick.scan.ranges.copy()
+    period_s, motion, has_written, indices = setup.config.robot.control_period_s, setup.motion, False, list[int]()
+    world, last = World(ROOM, _START, 0.15, setup.config, np.random.default_rng(seed)), None
+    for k in range(count):
+        tick = world.step(Command(0.45, 0.5 if k < count // 2 else -0.45))
+        assert tick is not None
+        increment = last and motion.increment(last.odometry, tick, period_s, front_end.since.motion)
+        before = tick.scan and tick.scan.ranges.copy()
         keyframe = front_end.take(Evidence(increment, tick.scan, tick.scan, {}))
-        if before is not None and tick.scan is not None and not np.array_equal(before, tick.scan.ranges):
-            faults.append("found ranges of a scan that were written to")
+        has_written |= tick.scan is not None and not np.array_equal(before, tick.scan.ranges)
         if keyframe is not None:
-            if keyframe.index != keyframes:
-                faults.append(f"found a keyframe with index {keyframe.index}, allowed: {keyframes}")
-            keyframes += 1
+            indices.append(keyframe.index)
             motion.at_keyframe(None)
-        poses.append(front_end.pose.array())
-        truths.append((tick.truth or Pose()).array())
-        last, tick = tick, world.step(Command(0.45, 0.5 if len(poses) < count // 2 else -0.45))
+        last = tick
+    truth = (tick.truth or Pose()).array()
     since_cov, rows = front_end.since.cov, setup.estimator.trajectory()
-    finished = front_end.finish()
-    return Driven(faults, keyframes, np.array(poses), np.array(truths), since_cov, rows, finished)
+    return Driven(has_written, indices, truth, since_cov, rows, front_end.finish().estimate)
 
 
 @FRONT_END_LAWS.law()
@@ -182,24 +176,18 @@ def the_covariance_of_the_pose_is_as_large_as_its_errors(part: Any) -> None:
     total = 0.0
     for seed in range(_DRIVES):
         driven = _driven(part, seed)
-        error = driven.finished.estimate.pose.array() - driven.truths[-1]
+        error = driven.final.pose.array() - driven.truth
         error[2] = wrap_angle(error[2])
-        total += float(error @ np.linalg.solve(driven.finished.estimate.pose_cov, error))
+        total += float(error @ np.linalg.solve(driven.final.pose_cov, error))
     at_most("mean NEES", total / _DRIVES, chi2.isf(_FALSE_ALARM, 3 * _DRIVES) / _DRIVES)
 
 
 @FRONT_END_LAWS.law()
 def keyframes_count_from_0_and_are_the_rows_of_the_trajectory(part: Any) -> None:
     driven = _driven(part, 1)
-    assert not driven.faults, driven.faults[0]
-    assert driven.keyframes > 0, "found no keyframe, allowed: some"
-    equal("rows of the trajectory", len(driven.trajectory), driven.keyframes)
-
-
-@FRONT_END_LAWS.law()
-def the_pose_follows_the_robot(part: Any) -> None:
-    driven = _driven(part, 2)
-    at_most("distance from the truth, m", float(np.hypot(*(driven.poses - driven.truths)[:, :2].T).max()), 1.0)
+    assert not driven.has_written, "found ranges of a scan that were written to"
+    assert driven.indices, "found no keyframe, allowed: some"
+    equal("indices of the keyframes", driven.indices, [*range(len(driven.trajectory))])
 
 
 @FRONT_END_LAWS.law()
@@ -214,4 +202,93 @@ def the_motion_since_the_last_keyframe_has_a_covariance(part: Any) -> None:
 def the_same_ticks_give_the_same_bits(part: Any) -> None:
     one, other = (_driven(part, 4) for _ in range(2))
     agree("trajectory", one.trajectory, other.trajectory)
-    agree("pose_cov", one.finished.estimate.pose_cov, other.finished.estimate.pose_cov)
+    agree("pose_cov", one.final.pose_cov, other.final.pose_cov)
+
+
+_ROOMS = {0: (0.0, np.zeros(2), 1.0), 1: (1.2, np.array([24.0, 7.0]), 1.35), 2: (-0.6, np.array([-5.0, 31.0]), 0.8)}
+"""turn, place and size of each of three rooms of one kind"""
+_WAY = [Pose(-2.1, -1.3, 0.4), Pose(-1.9, 0.6, 1.3), Pose(-1.2, 2.4, 0.9), Pose(0.2, 1.1, -0.8), Pose(2.6, 0.2, 0.3)]
+_AGAIN = [Pose(-1.7, -0.9, 1.9), Pose(-0.4, 1.6, -0.4), Pose(2.2, -0.7, 2.6)]
+_OFF = np.array([0.15, -0.1, 0.03])
+"""error of where the scan is expected, and"""
+_SIGMA_M, _SIGMA_RAD = 0.4, 0.1
+
+
+class Rooms:
+    """Scans with a laser at known poses in three rooms, each of which is a place, and one that was taken again."""
+
+    usual_agreement = 0.9
+
+    def __init__(self, room: int, again: Pose) -> None:
+        config, rng = preset("log"), np.random.default_rng(11)
+        self.store, poses = ScanStore(config.scans.max_range_m), []
+        rows = [(number, pose) for number in _ROOMS for pose in _WAY]
+        for number, pose in (*rows, (room, again)):  # the newest scan is the last row
+            turn, origin, size = _ROOMS[number]
+            at = Pose(*(rotation(turn) @ (size * pose.position) + origin), pose.theta + turn)
+            walls = ROOM * size @ rotation(turn).T + origin
+            ranges = cast_rays(at, beam_bearings(config.laser), walls, config.laser.max_range)
+            self.store.put(Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser))
+            self.store.keep()
+            poses.append(at.array())
+        self.poses, self.key = np.array(poses), len(rows)
+        # Rooms are so far apart on the way that each is a place of its own.
+        way_m = 50.0 * np.arange(len(_ROOMS))[:, None] + 0.5 * np.arange(len(_WAY))
+        self.travelled_m = np.append(way_m.ravel(), 400.0)
+
+    def query(self) -> PlaceQuery:
+        """Where the newest scan is, of which the track says little."""
+        places, known = KnownPlaces(self), np.arange(self.key)
+        places.seek(known, known)
+        true = between(places.anchors, self.poses[self.key])
+        count = len(places.anchors)
+        expected = ExpectedPoses(true + _OFF, np.full(count, _SIGMA_M), np.full(count, _SIGMA_RAD))
+        return PlaceQuery(self, self.key, places, expected, 0.5)
+
+
+def _answers(part: Any) -> list[tuple[Rooms, list[Candidate]]]:
+    search, found = make_part(PLACE_SEARCHES, part), list[tuple[Rooms, list[Candidate]]]()
+    for room in _ROOMS:
+        for again in _AGAIN:
+            places = Rooms(room, again)
+            found.append((places, list(search.propose(places.query()))))
+    return found
+
+
+@PLACE_LAWS.law()
+def the_place_where_the_robot_is_is_among_what_is_proposed(part: Any) -> None:
+    answers = _answers(part)
+    found = sum(any(is_same_place(c.pose, places.poses[places.key]) for c in found) for places, found in answers)
+    assert 2 * found >= len(answers), f"found the place in {found} of {len(answers)} queries, allowed: half of them"
+
+
+@PLACE_LAWS.law()
+def candidates_are_poses_of_different_places_with_scores_the_best_first(part: Any) -> None:
+    for _, found in _answers(part):
+        scores = [one.score for one in found]
+        is_sorted = scores == sorted(scores, reverse=True) and all(0.0 <= score <= 1.0 for score in scores)
+        assert is_sorted, f"found scores {scores}, allowed: 0 to 1, the best first"
+        is_pose = [np.shape(one.pose) == (3,) and bool(np.isfinite(one.pose).all()) for one in found]
+        assert all(is_pose), "found a pose that is not (3,) finite numbers"
+        for k, one in enumerate(found):
+            alike = [other for other in found[:k] if is_same_place(one.pose, other.pose)]
+            assert not alike, f"found two candidates at {np.round(one.pose, 2).tolist()}, allowed: one"
+
+
+@PLACE_LAWS.law()
+def where_nothing_is_known_nothing_is_proposed(part: Any) -> None:
+    rooms, nothing = Rooms(1, _AGAIN[0]), np.zeros(0, dtype=np.int64)
+    query, places = rooms.query(), KnownPlaces(rooms)
+    places.seek(nothing, nothing)
+    query = query._replace(places=places, expected=ExpectedPoses.anywhere(0))
+    equal("candidates", len(make_part(PLACE_SEARCHES, part).propose(query)), 0)
+
+
+@PLACE_LAWS.law()
+def the_same_query_gives_the_same_candidates_and_leaves_the_scans_alone(part: Any) -> None:
+    (_, one), (places, other) = (_answers(part)[0] for _ in range(2))
+    equal("scores", [c.score for c in one], [c.score for c in other])
+    agree("poses", [c.pose for c in one], [c.pose for c in other])
+    before = places.store.returns.points.copy()
+    make_part(PLACE_SEARCHES, part).propose(places.query())
+    agree("points of the scans", places.store.returns.points, before)

@@ -17,7 +17,7 @@ from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms
 from sixthsense.slam.estimators import Filter
-from sixthsense.testing import worlds
+from sixthsense.testing import estimators as worlds
 from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
 from sixthsense.testing.laws import Laws, raises
 

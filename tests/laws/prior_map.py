@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from point_world import START, START_COV, assert_same, fed, joint_state, make, sight, step
+from point_world import START, START_COV, assert_same, joint_state, make, sight, step
 
 from laws.reference import corrected
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
-from sixthsense.testing import worlds
-from sixthsense.testing.batch import Posterior, batch_posterior, placed
+from sixthsense.testing import estimators as worlds
+from sixthsense.testing.batch import Posterior
 from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
@@ -87,25 +87,6 @@ def the_first_observations_add_their_information_to_the_prior(name: str, world: 
     expected = corrected(state_of(prior, worlds.START, worlds.START_COV), seen)
     estimator.update(seen)
     worlds.assert_agrees(estimator, expected)
-
-
-@LAWS.law(None, worlds.WORLDS)
-def two_runs_are_one_long_run_in_which_the_robot_is_put_elsewhere(name: str, world: worlds.World) -> None:
-    """The second run begins with the landmarks of the first: batch least squares over both knows no prior map."""
-    log, _, _ = worlds.drive(world, 6)
-    first = worlds.driven(name, world, 6)
-    second = begun(name, prior_from(first), worlds.START, worlds.START_COV)
-    rng = np.random.default_rng(8)
-    true = Pose.from_array(worlds.START.array() + np.linalg.cholesky(worlds.START_COV) @ rng.standard_normal(3))
-    again: Log = []
-    for _ in range(6):
-        error = np.linalg.cholesky(worlds.MOTION.cov) @ rng.standard_normal(3)
-        true = true @ worlds.MOTION.motion @ Pose.from_array(error)
-        again.append((worlds.MOTION, world.sight(true, range(len(world.kinds)), rng)))
-    fed(second, again)
-    start = placed(worlds.START, worlds.START_COV)
-    both = batch_posterior([*log, *again], worlds.START, worlds.START_COV, restarts={len(log): start})
-    worlds.assert_agrees(second, both)
 
 
 @LAWS.law()

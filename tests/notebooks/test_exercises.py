@@ -14,11 +14,10 @@ import pytest
 
 import sixthsense as ss
 from course import check, reference
-from course.checking import EXERCISES, MISTAKES, examine
+from course.checking import CHECKED, EXERCISES, FOLDED, examine
 from course.exercise import CASES, Exercise, wrong_answers
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
-FOLDED = re.compile(r"<summary>Solution</summary>\n\n```python\n(.*?)\n```\n\n</details>", re.DOTALL)
 UNANSWERED = "no answer yet"
 
 
@@ -26,6 +25,7 @@ class Task(NamedTuple):
     """An exercise as a notebook has it."""
 
     name: str
+    function: str
     notebook: str
     stub: dict[str, Any]
     grade: dict[str, Any]
@@ -36,43 +36,33 @@ def tasks_of(notebook: Path) -> Iterator[Task]:
     cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     for stub, grade, folded in zip(cells, cells[1:], cells[2:], strict=False):
         if stub["metadata"].get("nbgrader", {}).get("solution"):
-            (name,) = re.findall(r'^(?:[^=\n]+ = )?check\("(.+)", \w+\)$', "".join(grade["source"]), re.MULTILINE)
+            ((name, function),) = CHECKED.findall("".join(grade["source"]))
             (solution,) = FOLDED.findall("".join(folded["source"]))
-            yield Task(name, notebook.stem, stub, grade, solution)
+            yield Task(name, function, notebook.stem, stub, grade, solution)
 
 
-TASKS = {task.name: task for notebook in NOTEBOOKS for task in tasks_of(notebook)}
+TASKS = [task for notebook in NOTEBOOKS for task in tasks_of(notebook)]
+of_each_task = pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 
 
 def answer_of(source: str, task: Task) -> Any:
     """What a solution defines under the name that the notebook checks; earlier solutions of the notebook are known."""
     known: dict[str, Any] = {"np": np, "ss": ss}
-    for other in tasks_of(next(file for file in NOTEBOOKS if file.stem == task.notebook)):
-        if other.name == task.name:
-            break
-        exec(other.solution, known)
+    for other in TASKS[: TASKS.index(task)]:
+        if other.notebook == task.notebook:
+            exec(other.solution, known)
     exec(source, known)
-    (name,) = re.findall(r"^(?:[^=\n]+ = )?check\(.*, (\w+)\)$", "".join(task.grade["source"]), re.MULTILINE)
-    return known[name]
+    return known[task.function]
 
 
-def test_every_exercise_of_the_table_stands_in_one_notebook() -> None:
-    found = [task.name for notebook in NOTEBOOKS for task in tasks_of(notebook)]
-    assert sorted(found) == sorted(EXERCISES)
+def test_every_exercise_of_the_table_stands_in_one_notebook_and_every_notebook_has_some() -> None:
+    assert sorted(task.name for task in TASKS) == sorted(EXERCISES)
+    assert all(sum(task.notebook == file.stem for task in TASKS) >= 2 for file in NOTEBOOKS)
 
 
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: str(file.stem))
-def test_a_notebook_has_cells_to_fill_in(notebook: Path) -> None:
-    assert len(list(tasks_of(notebook))) >= 2
-
-
-@pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
-def test_the_solution_of_a_notebook_is_right(task: Task) -> None:
+@of_each_task
+def test_the_solution_of_a_notebook_is_right_and_a_cell_that_is_not_filled_in_is_no_answer(task: Task) -> None:
     assert examine(task.name, answer_of(task.solution, task)) == ""
-
-
-@pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
-def test_a_cell_that_is_not_filled_in_is_no_answer(task: Task) -> None:
     assert examine(task.name, answer_of("".join(task.stub["source"]), task)).startswith(UNANSWERED)
 
 
@@ -83,46 +73,40 @@ def played(exercise: Exercise, wrong: Callable[[int], list[Any]]) -> Callable[..
 
 
 def test_wrong_answers_are_refused_with_what_explains_them() -> None:
-    """Those of the tables with their own hint, unless a pattern of the results explains them."""
+    """Those of the exercises with their own hint, unless a pattern of the results explains them."""
     count, by_pattern = 0, 0
     for name, exercise in EXERCISES.items():
         if not isinstance(exercise, Exercise):
             continue
-        own = MISTAKES.get(name, {})
-        for hint, wrong in wrong_answers(exercise, own, lambda *given: None):
+        for hint, wrong in wrong_answers(exercise, reference(name), lambda *given: None):
             try:
                 with np.errstate(all="ignore"):
                     fault = examine(name, played(exercise, wrong))
             except Exception:  # the results of the pattern do not exist, such as the root of a negative number
                 continue
-            if hint in own:
+            if hint in exercise.mistakes:
                 assert fault.startswith(hint), (name, hint, fault)
             if fault.startswith(hint):
                 assert re.search(r"\d", fault.removeprefix(hint)), "a hint has numbers, too"
-                count, by_pattern = count + 1, by_pattern + (hint not in own)
+                count, by_pattern = count + 1, by_pattern + (hint not in exercise.mistakes)
     assert count >= 150 and by_pattern >= 100, (count, by_pattern)
 
 
 def changed(source: str) -> Iterator[str]:
     """The source with one sign turned, one product exchanged or one transpose left out, for each of them."""
-    count = len(list(ast.walk(ast.parse(source))))
-    for k in range(count):
+    for k in range(len(list(ast.walk(ast.parse(source))))):
         tree = ast.parse(source)
-        node = list(ast.walk(tree))[k]
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
-            node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
-        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
-            node.op = ast.Mult()
-        elif (
-            isinstance(node, ast.UnaryOp)
-            and isinstance(node.op, ast.USub)
-            and not isinstance(node.operand, ast.Constant)
-        ):
-            node.op = ast.UAdd()
-        elif isinstance(node, ast.Attribute) and node.attr == "T":
-            node.attr = "real"  # the array as it is
-        else:
-            continue
+        match list(ast.walk(tree))[k]:
+            case ast.BinOp(op=ast.Add() | ast.Sub()) as node:
+                node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
+            case ast.BinOp(op=ast.Div()) as node:
+                node.op = ast.Mult()
+            case ast.UnaryOp(op=ast.USub(), operand=operand) as unary if not isinstance(operand, ast.Constant):
+                unary.op = ast.UAdd()
+            case ast.Attribute(attr="T") as attribute:
+                attribute.attr = "real"  # the array as it is
+            case _:
+                continue
         yield ast.unparse(tree)
 
 
@@ -158,14 +142,10 @@ EQUIVALENT = {
 """how many of the changes leave a solution right"""
 
 
-@pytest.mark.parametrize(
-    "task",
-    [task for task in TASKS.values() if isinstance(EXERCISES[task.name], Exercise)],
-    ids=lambda task: task.name,
-)
+@of_each_task
 def test_a_solution_with_one_sign_or_one_transpose_wrong_is_refused(task: Task) -> None:
     accepted = []
-    for source in changed(task.solution):
+    for source in changed(task.solution) if isinstance(EXERCISES[task.name], Exercise) else ():
         try:
             answer = answer_of(source, task)
         except Exception:  # it does not even define
@@ -179,13 +159,7 @@ def test_a_solution_with_one_sign_or_one_transpose_wrong_is_refused(task: Task) 
 
 # Of a part that is to be written: what stands in the solution, what takes its place, and what is said of it.
 WRONG_PARTS = [
-    (
-        "EKF-SLAM",
-        "noise = turn @ odometry.cov @ turn.T",
-        "noise = odometry.cov",
-        "predicting in pieces is predicting at once",
-    ),
-    ("EKF-SLAM", "observations[i].z - z", "z - observations[i].z", "distance from the truth"),
+    ("EKF-SLAM", "turn @ odometry.cov @ turn.T", "odometry.cov", "predicting in pieces is predicting at once"),
     ("EKF-SLAM", "self.cov[:3, :3].copy()", "self.cov[:3, :3]", "returned arrays are copies"),
     ("explorer", "return targets[int(np.argmin(ways))]", "return None", "the other room is looked at"),
 ]
@@ -195,7 +169,7 @@ WRONG_PARTS = [
 def test_a_part_with_a_mistake_is_refused_by_the_law_that_it_breaks(
     name: str, right: str, wrong: str, said: str
 ) -> None:
-    task = TASKS[name]
+    (task,) = (task for task in TASKS if task.name == name)
     assert right in task.solution
     fault = examine(name, answer_of(task.solution.replace(right, wrong), task))
     assert said in fault and re.match(r"it breaks \d+ of \d+ laws", fault)
@@ -207,6 +181,11 @@ def answers(name: str, change: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *given: change(right(*given))
 
 
+def in_place(cov: Any, jacobian: Any, noise: Any) -> Any:
+    cov[:3, :3] += noise
+    return cov
+
+
 ANSWERS = {
     "an angle that is not wrapped": (
         "residual", answers("residual", lambda r: r + 2 * np.pi * np.eye(3)[2]), "not wrapped",
@@ -214,7 +193,6 @@ ANSWERS = {
     "a sign": ("to lines", answers("to lines", lambda r: -r), "wrong sign"),
     "a transposed matrix": ("motion jacobian", answers("motion jacobian", lambda r: r.T), "transposed"),
     "a factor": ("rigid", answers("rigid", lambda r: 1.5 * r), "1.5 times"),
-    "a factor of a number": ("coverage", answers("coverage", lambda r: 100.0 * r), "100 times"),
     "degrees": (
         "stopping", lambda v, delay, a: reference("stopping")(v, np.degrees(delay), a), "delay is converted to degrees",
     ),
@@ -231,10 +209,15 @@ ANSWERS = {
     "another shape": ("nees", answers("nees", lambda r: r[:, None]), "the shape (4, 1), and (4,) is asked for"),
     "too few results": ("update", answers("update", lambda r: r[:1]), "it returns 1 results, and 2 are asked for"),
     "an error": ("octile", lambda rows, cols: rows[0], "it raises TypeError"),
-    "no number": ("weights", lambda logs: np.full(len(logs), np.nan), "8 of 8 numbers that are not finite"),
+    "no number": ("inflate", lambda cells, _: np.full(cells.shape, np.nan), "numbers that are not finite"),
     "one number of many": (
         "probability", answers("probability", lambda r: np.append(r[:-1], 0.3)), "5 of 6 numbers are right",
     ),
+    "an argument that is changed": ("predict", in_place, "changes one of its arguments"),
+    "a value": ("nees", np.array([2.7, 3.4]), "this is a ndarray"),
+    "nothing": ("nees", lambda errors, covs: None, UNANSWERED),
+    "dots": ("EKF-SLAM", ..., UNANSWERED),
+    "no exercise": ("neees", lambda: 0, "there is no such exercise, did you mean nees?"),
 }  # fmt: skip
 
 
@@ -244,31 +227,10 @@ def test_what_is_off_in_any_answer_is_said_in_words_and_numbers(what: str) -> No
     assert said in examine(name, answer)
 
 
-def test_an_answer_that_changes_its_arguments_is_refused() -> None:
-    def predict(cov: Any, jacobian: Any, noise: Any) -> Any:
-        cov[:3] = jacobian @ cov[:3]
-        cov[:, :3] = cov[:, :3] @ jacobian.T
-        cov[:3, :3] += noise
-        return cov
-
-    assert "changes one of its arguments" in examine("predict", predict)
-
-
-def test_what_is_no_function_is_said_to_be_none_and_nothing_is_no_answer() -> None:
-    assert "this is a ndarray" in examine("nees", np.array([2.7, 3.4]))
-    assert examine("EKF-SLAM", None) == examine("octile", ...) == examine("nees", lambda errors, covs: None)
-    assert examine("EKF-SLAM", None).startswith(UNANSWERED)
-
-
-def test_an_exercise_that_does_not_exist_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert check("neees", lambda: 0) is None
-    assert capsys.readouterr().out == "neees: there is no such exercise, did you mean nees?\n"
-
-
 def test_marks_are_as_nbgrader_reads_them() -> None:
     """Schema 3 of its metadata: what its validator asks of a solution cell and of a test cell."""
     ids = []
-    for task in TASKS.values():
+    for task in TASKS:
         stub, grade = (cell["metadata"]["nbgrader"] for cell in (task.stub, task.grade))
         assert (stub["solution"], stub["grade"], stub["locked"]) == (True, False, False)
         assert (grade["solution"], grade["grade"], grade["locked"]) == (False, True, True)

@@ -5,7 +5,7 @@ import numpy as np
 from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.landmark_kernels import predictions
 from sixthsense.testing.batch import batch_posterior, observation_jacobian, to_robot, to_world
-from sixthsense.testing.worlds import BOTH, START, START_COV, drive
+from sixthsense.testing.estimators import BOTH, START, START_COV, drive
 
 
 def apart(one, other, is_wall):

@@ -89,16 +89,6 @@ def noise_in_world_axes(own, call, odometry):
     call(replace(odometry, cov=rotated_covariance(-own.estimate().pose.theta, odometry.cov)))
 
 
-def with_a_floor(own, call, seen):
-    call({i: replace(s, cov=s.cov + 2.5e-8 * np.eye(2)) for i, s in seen.items()})
-
-
-def counts_twice(own, call, seen):
-    """Uses an observation again if the landmark was seen in the update before, too."""
-    call(scaled(seen, 0.5, getattr(own, "last", ())))
-    own.last = {*seen}
-
-
 def augments_first(own, call, seen):
     before = known(own)
     call({i: s for i, s in seen.items() if i not in before})
@@ -144,26 +134,9 @@ def indefinite(joint):
     return joint - 1.001 * np.linalg.eigvalsh(joint)[0] * np.eye(len(joint))
 
 
-def of_another_pose(joint):
-    joint[0, 0] *= 1.0 + 1e-5
-    return joint
-
-
 def uncorrelated(joint):
     joint[3:, :3] = joint[:3, 3:] = 0.0
     return joint
-
-
-def of_pairs(change):
-    """Changes the blocks (2, 2) of two landmarks each."""
-
-    def changed(joint):
-        for i, j in itertools.combinations(range(3, len(joint), 2), 2):
-            block = change(joint[i : i + 2, j : j + 2])
-            joint[i : i + 2, j : j + 2], joint[j : j + 2, i : i + 2] = block, block.T
-        return joint
-
-    return with_joint(changed)
 
 
 def views_of(name):
@@ -225,12 +198,8 @@ BROKEN = [
     (1, broken(predict=noise_in_world_axes), LEAST_SQUARES.format("walls")),
     (1, LATE, "predicting in pieces is predicting at once [points]"),
     (2, of_known(0.25), FIRST_UPDATE.format("points")),
-    (2, of_known(0.9), FIRST_UPDATE.format("walls")),
     (2, of_new(1.1), NEW.format("points")),
     (2, of_new(0.9), NEW.format("walls")),
-    (2, of_new(1.1), LEAST_SQUARES.format("points and walls")),
-    (2, broken(update=with_a_floor), LEAST_SQUARES.format("points")),
-    (2, broken(update=counts_twice), LEAST_SQUARES.format("walls")),
     (2, broken(update=augments_first), "known landmarks of a scan update before new ones are initialized [walls]"),
     (2, with_joint(uncorrelated), NEW.format("points and walls")),
     (2, RemembersTheForgotten, "a forgotten landmark seen again is new [points]"),
@@ -241,12 +210,9 @@ BROKEN = [
     (3, surer("update", lambda seen: not seen), "an empty update leaves the covariance alone [points]"),
     (4, with_joint(asymmetric), ORDERED.format("points")),
     (4, with_joint(indefinite), ORDERED.format("walls")),
-    (4, with_joint(of_another_pose), ORDERED.format("points")),
     (4, broken(joint_covariance=lambda own, call, ids: call(sorted(ids))), ORDERED.format("points and walls")),
     (4, broken(joint_covariance=lambda own, call, ids: call([i for i in ids if i in known(own)])),
      ORDERED.format("points")),
-    (4, of_pairs(lambda block: block.T.copy()), LEAST_SQUARES.format("points")),
-    (4, of_pairs(lambda block: 0.5 * block), LEAST_SQUARES.format("walls")),
     (5, views_of("estimate"), "returned arrays are copies [walls]"),
     (5, views_of("joint_covariance"), "returned arrays are copies [walls]"),
     (5, views_of("trajectory"), "returned arrays are copies [walls]"),
@@ -312,11 +278,7 @@ def test_laws_of_walls_are_skipped_with_the_reason_for_an_estimator_of_points():
     assert failures.tested == len(LAWS) - len(of_walls)
     reason = "NotImplementedError: walls are not supported"
     assert repr(failures).splitlines()[-1] == f"not tested: {len(of_walls)} laws, {reason}"
-
-
-def test_another_error_for_a_wall_is_no_refusal():
-    failures = check_estimator(refuses_walls(TypeError, late=False))
-    assert not failures.skipped and {law.name for law in LAWS if law.needs_walls and not law.is_optional} <= {*failures}
+    assert not check_estimator(refuses_walls(TypeError, late=False)).skipped, "another error is no refusal"
 
 
 def test_what_cannot_be_made_is_told_once():

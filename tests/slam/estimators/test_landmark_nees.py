@@ -7,7 +7,7 @@ from point_world import joint_state, make
 from sixthsense.core.covariance import landmark_covariances
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.metrics import nees_band, nees_landmarks
-from sixthsense.testing.worlds import BOTH, MOTION, START, START_COV
+from sixthsense.testing.estimators import BOTH, MOTION, START, START_COV
 
 RUNS = 150
 

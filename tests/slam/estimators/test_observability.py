@@ -7,8 +7,8 @@ from point_world import CONSISTENT, START, START_COV, joint_state, make, noisy, 
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.batch import to_robot
+from sixthsense.testing.estimators import BOTH
 from sixthsense.testing.observability import heading_variances, nullity, observability_gramian
-from sixthsense.testing.worlds import BOTH
 
 FILTERS = [name for name in ESTIMATORS if name != "isam2"]
 
