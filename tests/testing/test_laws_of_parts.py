@@ -77,8 +77,8 @@ class Extracts(LineExtractor):
 
     Options = None
 
-    def __init__(self, assumed, rng):
-        super().__init__(assumed, rng, FeaturesConfig())
+    def __init__(self, assumed):
+        super().__init__(assumed, FeaturesConfig())
 
     def extract(self, scan):
         found = super().extract(scan)
