@@ -125,7 +125,7 @@ EXERCISES: dict[str, Exercise | Judged] = {
                 at, P, p, _turned_back(at, R)
             ),
             "the heading's error moves the point, too": lambda right, at, P, p, R: right(
-                at, block_diag(P[:2, :2], 0.0), p, R
+                at, block_diag(P[:2, :2], np.zeros((1, 1))), p, R
             ),
         },
     ),

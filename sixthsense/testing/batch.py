@@ -51,8 +51,8 @@ class _Factor:
     """of its variables among all"""
     residual: Residual
     """of these variables, m and rad"""
-    weight: Array
-    """information matrix of the residual"""
+    cov: Array
+    """covariance of the residual"""
 
 
 def to_robot(pose: Array, landmark: Array, is_wall: bool) -> Array:
@@ -98,12 +98,12 @@ def batch_posterior(
     x = np.concatenate([*poses, *landmarks.values(), *of_wheels])
     of_landmarks = {i: 3 * len(poses) + 2 * k + np.arange(2) for k, i in enumerate(landmarks)}
     factors = _factors(log, of_landmarks, wheels)
-    to_start = np.linalg.inv(move_covariance((0.0, 0.0, -start.theta), start_cov))
-    factors.append(_Factor(np.arange(3), lambda x: between(start.array(), x), to_start))
+    start_cov = move_covariance((0.0, 0.0, -start.theta), start_cov)
+    factors.append(_Factor(np.arange(3), lambda x: between(start.array(), x), start_cov))
     for _ in range(_ITERATIONS):
         information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         for factor in factors:
-            at, weight = factor.at, factor.weight
+            at, weight = factor.at, np.linalg.inv(factor.cov)
             r, J = factor.residual(x[at]), jacobian(factor.residual, x[at])
             information[np.ix_(at, at)] += J.T @ weight @ J
             gradient[at] += J.T @ weight @ r
@@ -138,14 +138,14 @@ def _factors(
     of_wheels = 3 * len(log) + 3 + 2 * len(of_landmarks) + np.arange(PARAMETERS if wheels is not None else 0)
     if wheels is not None:
         mean = wheels.values.array()
-        factors.append(_Factor(of_wheels, lambda x: x - mean, np.linalg.inv(wheels.cov)))
+        factors.append(_Factor(of_wheels, lambda x: x - mean, wheels.cov))
     for k, (odometry, observations) in enumerate(log):
         before, after = 3 * k + np.arange(3), 3 * k + 3 + np.arange(3)
         at = np.concatenate([before, after, of_wheels])
-        factors.append(_Factor(at, _motion_residual(odometry), np.linalg.inv(odometry.cov)))
+        factors.append(_Factor(at, _motion_residual(odometry), odometry.cov))
         for i, observation in observations.items():
             at = np.append(after, of_landmarks[i])
-            factors.append(_Factor(at, _observation_residual(observation), np.linalg.inv(observation.cov)))
+            factors.append(_Factor(at, _observation_residual(observation), observation.cov))
     return factors
 
 

@@ -182,7 +182,7 @@ _BAD_COVS = {
 
 def _wide(cov: list[list[float]]) -> Array:
     """(3, 3) an invalid covariance of a pose."""
-    return np.asarray(block_diag(cov, 0.01))
+    return np.asarray(block_diag(np.array(cov), 0.01 * np.eye(1)))
 
 
 def _seen(world: World, seed: int, steps: int = 6) -> dict[int, Observation]:
@@ -260,7 +260,7 @@ def a_drive_gives_the_posterior_of_batch_least_squares(part: Part, case: tuple[W
     """After one update: of new landmarks; after two: of known ones; after eight: of both, and of walls behind."""
     world, place, steps = case
     log, moved = drive(world, steps)[0], _PLACES[place]
-    turn = block_diag(rotation(moved.theta), 1.0)
+    turn = block_diag(rotation(moved.theta), np.eye(1))
     start, start_cov = moved @ START, turn @ START_COV @ turn.T
     assert_agrees(fed(make(part, start, start_cov), log), batch_posterior(log, start, start_cov))
 

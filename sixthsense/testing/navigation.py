@@ -140,7 +140,7 @@ def _explored(part: Any) -> tuple[_Watched, bool]:
             goal = exploration.next(map_, pose, "arrived")  # at a target that cannot be seen from there
         if goal is None or exploration.state != "viewing":
             return watched, True
-        pose = Pose(*goal.position.tolist(), 0.3)
+        pose = Pose.from_array(np.append(goal.position, 0.3))
     return watched, False
 
 

@@ -154,19 +154,19 @@ def _driven(part: Any, seed: int, count: int = 400) -> Driven:
     """A drive on an eight through the room."""
     front_end, setup = front_end_of(part, seed)
     period_s, motion, has_written, indices = setup.config.robot.control_period_s, setup.motion, False, list[int]()
-    world, last = World(ROOM, _START, 0.15, setup.config, np.random.default_rng(seed)), None
+    world, last, truth = World(ROOM, _START, 0.15, setup.config, np.random.default_rng(seed)), None, _START.array()
     for k in range(count):
         tick = world.step(Command(0.45, 0.5 if k < count // 2 else -0.45))
         assert tick is not None
         increment = last and motion.increment(last.odometry, tick, period_s, front_end.since.motion)
-        before = tick.scan and tick.scan.ranges.copy()
+        before = None if tick.scan is None else tick.scan.ranges.copy()
         keyframe = front_end.take(Evidence(increment, tick.scan, tick.scan, {}))
-        has_written |= tick.scan is not None and not np.array_equal(before, tick.scan.ranges)
+        if before is not None and tick.scan is not None:
+            has_written |= not np.array_equal(before, tick.scan.ranges)
         if keyframe is not None:
             indices.append(keyframe.index)
             motion.at_keyframe(None)
-        last = tick
-    truth = (tick.truth or Pose()).array()
+        last, truth = tick, (tick.truth or Pose()).array()
     since_cov, rows = front_end.since.cov, setup.estimator.trajectory()
     return Driven(has_written, indices, truth, since_cov, rows, front_end.finish().estimate)
 
@@ -225,7 +225,7 @@ class Rooms:
         rows = [(number, pose) for number in _ROOMS for pose in _WAY]
         for number, pose in (*rows, (room, again)):  # the newest scan is the last row
             turn, origin, size = _ROOMS[number]
-            at = Pose(*(rotation(turn) @ (size * pose.position) + origin), pose.theta + turn)
+            at = Pose.from_array(np.append(rotation(turn) @ (size * pose.position) + origin, pose.theta + turn))
             walls = ROOM * size @ rotation(turn).T + origin
             ranges = cast_rays(at, beam_bearings(config.laser), walls, config.laser.max_range)
             self.store.put(Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser))
