@@ -48,9 +48,7 @@ EXERCISES: dict[str, Exercise | Judged] = {
         ("blocked cells",),
         lambda rng: (mask(rng, 0.06), rng.uniform(2.05, 2.2)),
         mistakes={
-            "this is a square: the robot is a disc": lambda _, o, radius: ndimage.binary_dilation(
-                o, np.ones((5, 5), bool)
-            ),
+            "this is a square: the robot is a disc": lambda _, o, r: ndimage.binary_dilation(o, np.ones((5, 5), bool)),
             "the obstacles themselves are not blocked": lambda right, o, radius: right(o, radius) & ~o,
         },
     ),
