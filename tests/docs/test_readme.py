@@ -40,6 +40,7 @@ def test_the_targets_of_make_are_there() -> None:
     assert set(re.findall(r"(?:`|^ {4})make ([\w-]+)", TEXT, re.MULTILINE)) <= set(targets)
 
 
-def test_links_lead_to_files() -> None:
-    links = re.findall(r"\]\((?!https?:)([^)#]+)", TEXT)
-    assert len(links) > 20 and [link for link in links if not (ROOT / link).exists()] == []
+def test_links_of_readme_and_pages_lead_to_files_of_the_checkout() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    links = [(page, link) for page in pages for link in re.findall(r"\]\(([\w./-]+\.\w+)[#)]", page.read_text("utf-8"))]
+    assert len(links) > 200 and [link for link in links if not (link[0].parent / link[1]).exists()] == []
