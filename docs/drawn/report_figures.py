@@ -1,4 +1,4 @@
-"""Counterparts of the report's figures, from new runs; docs/report_figures.md describes them."""
+"""Counterparts of the report's figures, from new runs; docs/report.md names what they show."""
 
 from __future__ import annotations
 
