@@ -24,7 +24,7 @@ from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
 from sixthsense.slam.front_end import Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import ByWheels, Motion
-from sixthsense.slam.thinning import AGE, AT_ONCE, is_crowded
+from sixthsense.slam.thinning import Thinning
 
 if TYPE_CHECKING:
     from sixthsense.slam.scans.front_end import ScanFrontEnd
@@ -41,8 +41,9 @@ class LandmarkFrontEnd:
         """odometry since the last keyframe"""
         self._showed_new: list[bool] = []
         """whether each keyframe showed a landmark that was new"""
-        self._is_kept: list[bool] = []
-        """which keyframes are in a smoother's graph"""
+        self._gone: list[int] = []
+        """keyframes that have left a smoother's graph"""
+        self._thinning = Thinning()
         self._guide: ScanFrontEnd | None = None
         self._proposed = ProposedLandmarks()
         self._is_at_guide = True
@@ -52,8 +53,8 @@ class LandmarkFrontEnd:
             from sixthsense.slam.scans.front_end import ScanFrontEnd
 
             smoother = ISAM2(self.pose, np.zeros((3, 3)), self._config.isam2)
-            wheels = Motion(ByWheels(self._config.assumed))
-            self._guide = ScanFrontEnd(self._config, smoother, self.pose, wheels, self._clock, is_guide=True)
+            wheels, config = Motion(ByWheels(self._config.assumed)), self._config.replaced(scans={"final_pass": False})
+            self._guide = ScanFrontEnd(config, smoother, self.pose, wheels, self._clock)
 
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
@@ -84,29 +85,21 @@ class LandmarkFrontEnd:
             estimate = self._updated(association, evidence.closures)
         self.pose = estimate.pose
         self._showed_new.append(not association.observations.keys() <= set(predicted.ids.tolist()))
-        self._is_kept.append(True)
-        if isinstance(self._estimator, Smoother) and len(self._is_kept) % AT_ONCE == 0:
-            self._thin(self._estimator)
+        if isinstance(self._estimator, Smoother):
+            poses, showed_new = self._estimator.trajectory(), self._showed_new
+            kept = ~np.isin(np.arange(len(poses)), self._gone)
+            if leaving := self._thinning.leaving(poses, kept, lambda k: showed_new[k]):
+                self._estimator.take_out(leaving)
+                self._gone += leaving
         if self._guide is not None and evidence.scan is not None:
             self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
         counts = None if self._guide is None else self._guide.counts
-        return Keyframe(len(self._is_kept) - 1, motion, predicted, estimate, association, features, counts)
+        return Keyframe(len(self._showed_new) - 1, motion, predicted, estimate, association, features, counts)
 
     def finish(self) -> Finished:
         """Predict up to the last tick."""
         self._estimator.predict(self._taken())
         return Finished(self._estimator.estimate())
-
-    def _thin(self, estimator: Smoother) -> None:
-        """Take keyframes out of the graph that showed known landmarks alone, where enough others show the same."""
-        poses, last = estimator.trajectory(), len(self._is_kept) - AGE
-        leaving: list[int] = []
-        for k in range(max(last - AT_ONCE, 1), last):
-            if not self._showed_new[k] and is_crowded(poses, np.array(self._is_kept), k):
-                leaving.append(k)
-                self._is_kept[k] = False
-        if leaving:
-            estimator.take_out(leaving)
 
     def _taken(self) -> Odometry:
         """The motion since the last keyframe; the sum starts again from zero."""
@@ -127,7 +120,7 @@ class LandmarkFrontEnd:
                 by_wheels, is_since_guide, self._is_at_guide = self._taken(), self._is_at_guide, True
                 return guided.motion if is_since_guide else by_wheels
         elif evidence.scan is not None:
-            is_used = not self._is_kept or is_due(self.since.motion, self.since, self._config.keyframes)
+            is_used = not self._showed_new or is_due(self.since.motion, self.since, self._config.keyframes)
             return self._taken() if is_used else None
         if not evidence.observations and evidence.closures is None:
             return None
@@ -140,13 +133,13 @@ class LandmarkFrontEnd:
         proposed = None
         if self._guide is not None:  # which has compared the whole scan
             proposed = self._proposed
-            proposed.place(self._guide.proposal(), self._estimator.estimate())
+            proposed.place(*self._guide.proposal(), self._estimator.estimate())
         return self._associator.associate(features.observations, self._estimator, proposed)
 
     def _updated(self, association: Association, closures: Sequence[Closure] | None) -> Estimate:
         self._estimator.update(association.observations)
         if closures and isinstance(self._estimator, Smoother):
-            links = [Link(each.before, len(self._is_kept), Odometry(each.motion, each.cov)) for each in closures]
+            links = [Link(each.before, len(self._showed_new), Odometry(each.motion, each.cov)) for each in closures]
             self._estimator.link(links)
         estimate = self._estimator.estimate()
         gone = self._associator.forgotten(self._estimator, estimate)

@@ -45,10 +45,10 @@ class ByWheels:
         self._is_stated = False
         """whether the log states the covariance of the newest increment"""
 
-    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+    def increment(self, before: Pose, tick: Tick, duration_s: float) -> Odometry:
         """The motion since the last tick, with the covariance that the log states or that of the assumed noise.
 
-        `before` is `T_odom_robot` at the last tick, and `since` the motion from the last keyframe until then.
+        `before` is `T_odom_robot` at the last tick.
         """
         self._is_stated = tick.increment_cov is not None
         if tick.increment_cov is not None:
@@ -134,11 +134,8 @@ class LastVelocity:
         self._stated_s = self._predicted_s = 0.0
         """time since the last scan by the stamps, and what of it is predicted"""
 
-    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
-        """The motion since the last tick, `duration_s` ago, that the velocity predicts; odometry is left out.
-
-        `since` is the motion from the last keyframe until then.
-        """
+    def increment(self, before: Pose, tick: Tick, duration_s: float) -> Odometry:
+        """The motion since the last tick, `duration_s` ago, that the velocity predicts; odometry is left out."""
         is_scan = tick.scan is not None
         self._stated_s += duration_s
         elapsed_s = self._period(self._stated_s) if is_scan else self._stated_s
@@ -222,17 +219,17 @@ class Motion:
         self.present: ByWheels | LastVelocity = wheels or self._velocity
         """says what the motion since the last keyframe is worth"""
 
-    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+    def increment(self, before: Pose, tick: Tick, duration_s: float) -> Odometry:
         """The motion since the last tick, `duration_s` ago; by the last velocity where wheels have not measured it.
 
-        `before` is `T_odom_robot` then, and `since` the motion from the last keyframe until then.
+        `before` is `T_odom_robot` then.
         """
         if self._wheels is not None and not tick.is_unmeasured:
             self.present = self._wheels
         elif self.present is not self._velocity:
             self._velocity.lost()  # it begins as unknown
             self.present = self._velocity
-        return self.present.increment(before, tick, duration_s, since)
+        return self.present.increment(before, tick, duration_s)
 
     def at_keyframe(self, wheels: ParameterEstimate[Wheels] | None) -> None:
         """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -85,13 +84,11 @@ class PriorStart(NamedTuple):
         return np.diag(np.square(self.sigma))
 
 
-def begin_with(prior: PriorMap, config: Config, estimator: Estimator, start: Pose, start_cov: Array) -> None:
-    """Give the estimator the landmarks; InputError where this configuration or start cannot be used with the map."""
+def begin_with(prior: PriorMap, config: Config, estimator: Estimator) -> None:
+    """Give the estimator the landmarks; InputError where this configuration cannot be used with the map."""
     check_usable(prior, config)
     if not isinstance(estimator, Filter):
         raise InputError("estimator", f"found {config.estimator} with a prior map", "one that has start_from")
-    if len(prior.evidence.cells):
-        _check_start(prior, start, start_cov)
     estimator.start_from(prior.landmarks)
 
 
@@ -105,11 +102,3 @@ def check_usable(prior: PriorMap, config: Config) -> None:
     if len(prior.evidence.cells) and not math.isclose(prior.cell_m, config.grid.cell_m):
         found = f"found {config.grid.cell_m:g} with a prior map of {prior.cell_m:g} m cells"
         raise InputError("grid.cell_m", found, "the same")
-
-
-def _check_start(prior: PriorMap, start: Pose, start_cov: Array) -> None:
-    seen = (prior.evidence.cells[prior.evidence.seen][:, ::-1] + 0.5) * prior.cell_m  # (N, 2) centres
-    reach_m = SIGNIFICANT * math.sqrt(float(start_cov[:2, :2].trace())) + 2.0 * prior.cell_m
-    if not len(seen) or np.hypot(*(seen - start.position).T).min() > reach_m:
-        found = f"found ({start.x:.2f}, {start.y:.2f}), outside the prior map {prior.name}"
-        raise InputError("pose", found, "a place that it has seen")

@@ -44,23 +44,14 @@ class SensorCalibration:
         return {i: observation.with_sensor(sensor.values) for i, observation in observations.items()}
 
     def reported(self, estimate: Estimate) -> Estimate:
-        """The estimate with the uncertainty of the scale, which no observation can reduce.
+        """The estimate with the uncertainty of the scale, as of `reported_joint`."""
+        return dataclasses.replace(estimate, pose_cov=self.reported_joint(estimate.pose.position, estimate.pose_cov))
 
-        The map is as large as the sensor sees it. A wrong scale moves all away from the start, or towards it.
+    def reported_joint(self, places: Array, cov: Array) -> Array:
+        """`cov` (1 + k, 1 + k) of the pose and of points with the uncertainty of the scale.
+
+        No observation can reduce it: the map is as large as the sensor sees it. A wrong scale moves all away from the
+        start, or towards it. `places` (k,) are the x and y of all, world frame; the heading is third in `cov`.
         """
-        cov = estimate.pose_cov.copy()
-        cov[:2, :2] += self._of_scale(estimate.pose.position)
-        return dataclasses.replace(estimate, pose_cov=cov)
-
-    def reported_joint(self, estimate: Estimate, cov: Array) -> Array:
-        """`cov` (3 + 2n, 3 + 2n) of the pose and all landmarks, which are points, with the same uncertainty."""
-        places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
-        index = np.delete(np.arange(len(cov)), 2)
-        out = cov.copy()
-        out[np.ix_(index, index)] += self._of_scale(places)
-        return out
-
-    def _of_scale(self, places: Array) -> Array:
-        """(2k, 2k) covariance of k places (2k,), world frame, by the scale."""
-        offset = places - np.tile(self._start.position, len(places) // 2)
-        return self._scale_variance * np.outer(offset, offset)
+        offset = np.insert(places - np.tile(self._start.position, len(places) // 2), 2, 0.0)
+        return np.asarray(cov + self._scale_variance * np.outer(offset, offset))

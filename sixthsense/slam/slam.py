@@ -29,15 +29,7 @@ from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import (
-    Clock,
-    Evidence,
-    FrontEnd,
-    FrontEndSetup,
-    Keyframe,
-    LoopClosureCounts,
-    untimed,
-)
+from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, FrontEndSetup, Keyframe, LoopClosureCounts, untimed
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
@@ -96,7 +88,7 @@ class Slam:
         self._sensor = SensorCalibration(config, self.estimator, self._start) if config.calibrate_sensor else None
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
-            begin_with(prior_map, config, self.estimator, self._start, cov)
+            begin_with(prior_map, config, self.estimator)
             self._mapper.start_from(prior_map.evidence)
         setup = FrontEndSetup(config, self.estimator, self._start, self.associator, self._motion, clock)
         part = part_of(config, FRONT_ENDS)
@@ -230,7 +222,8 @@ class Slam:
             # Links of scans have private errors, which the estimator does not know of.
             joint[:3, :3] = finished.estimate.pose_cov
             if self._sensor is not None:
-                joint = self._sensor.reported_joint(estimate, joint)
+                places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
+                joint = self._sensor.reported_joint(places, joint)
             trajectory = self.trajectory()
             self._mapper.complete(trajectory)
             self._result = SlamResult(
@@ -264,8 +257,7 @@ class Slam:
         if last is None:
             self._T_world_odom = self._start @ tick.odometry.inverse()
             return None
-        duration_s = seconds(tick.stamp_ns - last.stamp_ns)
-        return self._motion.increment(last.odometry, tick, duration_s, self._front_end.since.motion)
+        return self._motion.increment(last.odometry, tick, seconds(tick.stamp_ns - last.stamp_ns))
 
     def _placed(self, scan: Scan, here: Pose, increment: Odometry | None) -> Odometry | None:
         """The increment to the first scan, and the motion from there to where it fits the prior map."""

@@ -23,6 +23,7 @@ from sixthsense.slam.features import Extractor
 from sixthsense.slam.features.extractor import features_fault
 from sixthsense.slam.front_end import Evidence, FrontEnd, FrontEndSetup
 from sixthsense.slam.motion_source import make_motion
+from sixthsense.slam.scans.graph import PlacedScans
 from sixthsense.slam.scans.known_places import KnownPlaces
 from sixthsense.slam.scans.place_search import Candidate, ExpectedPoses, PlaceQuery, is_same_place
 from sixthsense.slam.scans.returns import ScanStore
@@ -158,7 +159,7 @@ def _driven(part: Any, seed: int, count: int = 400) -> Driven:
     for k in range(count):
         tick = world.step(Command(0.45, 0.5 if k < count // 2 else -0.45))
         assert tick is not None
-        increment = last and motion.increment(last.odometry, tick, period_s, front_end.since.motion)
+        increment = last and motion.increment(last.odometry, tick, period_s)
         before = None if tick.scan is None else tick.scan.ranges.copy()
         keyframe = front_end.take(Evidence(increment, tick.scan, tick.scan, {}))
         if before is not None and tick.scan is not None:
@@ -214,14 +215,12 @@ _OFF = np.array([0.15, -0.1, 0.03])
 _SIGMA_M, _SIGMA_RAD = 0.4, 0.1
 
 
-class Rooms:
+class Rooms(PlacedScans):
     """Scans with a laser at known poses in three rooms, each of which is a place, and one that was taken again."""
-
-    usual_agreement = 0.9
 
     def __init__(self, room: int, again: Pose) -> None:
         config, rng = preset("log"), np.random.default_rng(11)
-        self.store, poses = ScanStore(config.scans.max_range_m), []
+        super().__init__(ScanStore(config.scans.max_range_m))
         rows = [(number, pose) for number in _ROOMS for pose in _WAY]
         for number, pose in (*rows, (room, again)):  # the newest scan is the last row
             turn, origin, size = _ROOMS[number]
@@ -230,11 +229,11 @@ class Rooms:
             ranges = cast_rays(at, beam_bearings(config.laser), walls, config.laser.max_range)
             self.store.put(Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser))
             self.store.keep()
-            poses.append(at.array())
-        self.poses, self.key = np.array(poses), len(rows)
+            self.add(at.array())
+        self.key = len(rows)
         # Rooms are so far apart on the way that each is a place of its own.
         way_m = 50.0 * np.arange(len(_ROOMS))[:, None] + 0.5 * np.arange(len(_WAY))
-        self.travelled_m = np.append(way_m.ravel(), 400.0)
+        self.travelled_m[:] = np.append(way_m.ravel(), 400.0)
 
     def query(self) -> PlaceQuery:
         """Where the newest scan is, of which the track says little."""

@@ -14,7 +14,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link
-from sixthsense.slam.thinning import is_crowded
+from sixthsense.slam.thinning import OLD_AGE, PERIOD, Thinning, is_crowded
 
 CONFIG = ISAM2Config(undo_probability=1.0)
 WALLS = np.array([[0.0, -6.0], [math.pi / 2, -5.0], [math.pi, -6.0]])
@@ -84,3 +84,13 @@ def test_a_keyframe_is_spare_where_eight_others_are_near_it_and_look_the_same_wa
     poses[:, 2] = wrap_angle(poses[:, 2])
     assert is_crowded(poses, np.ones(9, dtype=bool), 8) is crowded
     assert not is_crowded(poses, np.arange(9) > 0, 8)
+
+
+def test_keyframes_leave_ten_at_a_time_once_they_are_old_but_for_those_that_are_needed():
+    poses, thinning, left = np.zeros((60, 3)), Thinning(), []
+    for count in range(1, 61):
+        kept = ~np.isin(np.arange(count), left)
+        leaving = thinning.leaving(poses[:count], kept, lambda k: k == 12)
+        assert len(leaving) in (0, PERIOD) and (not leaving or max(leaving) < count - OLD_AGE)
+        left += leaving
+    assert left == [*range(8, 12), *range(13, 29)]

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,25 +20,11 @@ from sixthsense.core.covariance import SIGNIFICANT, chi_square_quantile, differe
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.innovations import Compared, Matches, by_estimator, compare_known, match
-from sixthsense.slam.association.observed import (
-    Distances,
-    Mask,
-    Observed,
-    collinear_pairs,
-    disagreement,
-    ends,
-    fused,
-    joined,
-)
+from sixthsense.slam.association.innovations import Innovations, Matches, compare_known, match
+from sixthsense.slam.association.joint_assignment import Indices
+from sixthsense.slam.association.observed import Distances, Mask, Observed, disagreement, ends, fused, joined
 from sixthsense.slam.association.proposed import ProposedLandmarks
-from sixthsense.slam.association.records import (
-    Association,
-    Crookedness,
-    Record,
-    less_certain,
-    on_lines,
-)
+from sixthsense.slam.association.records import Association, Crookedness, Record, less_certain, on_lines
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 
 AreFree = Callable[[Array, float], Mask]
@@ -59,11 +44,6 @@ _LEAST = 3
 """matches that determine a slip, and show whether some are wrong"""
 
 
-def nowhere_free(points: Array, within_m: float) -> Mask:
-    """Default: no point is known to be free."""
-    return np.zeros(len(points), dtype=bool)
-
-
 class Associator:
     """Gates and assigns observations, starts landmarks, and forgets those that are rare, double or no longer there."""
 
@@ -71,7 +51,7 @@ class Associator:
         self,
         config: AssociationConfig,
         records: Mapping[LandmarkId, Record] | None = None,
-        are_free: AreFree = nowhere_free,
+        are_free: AreFree | None = None,
     ) -> None:
         """Begin with the `records` of a prior map, whose landmarks are gone where this run's map says `are_free`."""
         self._config = config
@@ -100,36 +80,39 @@ class Associator:
         observed, estimate, slip = Observed.of(observations), estimator.estimate(), None
         belief, there = (estimator, estimate) if proposed is None else (proposed, proposed.estimate())
         records = [self.records[i] for i in there.ids.tolist()]
-        squares = np.array([record.square_m2 for record in records])
         extents = np.array([record.extent for record in records]) if proposed is None else proposed.extents
-
-        def at(belief: Belief, estimate: Estimate) -> Matches:
-            return match(observed, belief, estimate, extents.reshape(-1, 2, 2), squares, self._config)
-
-        matches = at(belief, there)
+        squares = np.array([record.square_m2 for record in records])
+        known = observed, belief, there, extents.reshape(-1, 2, 2), squares, self._config
+        matches = match(*known)
         if proposed is None and _shows_slip(matches):
-            matches, slip = _after_slip(at, estimator, estimate, matches)
+            # Wheels slip, and a robot is pushed. The squared innovation includes that of the slip.
+            slipped = match(*known, _SLIP_COV)
+            if slipped.matched >= _LEAST and slipped.worth - _SLIP_PRICE > matches.worth:
+                matches, slip = slipped, Odometry(estimate.pose.inverse() @ slipped.pose, _SLIP_COV)
         seen, pieces = self._seen_again(observations, matches)
-        compared = matches.compared(seen) if proposed is None else by_estimator(seen, estimator, estimate)
-        self._look(seen, compared, estimate)
+        innovations, here, order = matches.innovations, matches.pose, matches.near.tolist()
+        if proposed is not None:
+            innovations, order = compare_known(seen, list(seen), estimate, estimator), list(seen)
+            here = innovations.pose_given(estimate.pose, np.arange(len(order)))
+        places = np.array([order.index(i) for i in seen], dtype=np.int64)
+        self._look(seen, innovations, places, here, estimate)
         unmatched = [observations[k] for k in np.flatnonzero(matches.is_new).tolist()]
-        new, more = self._started(unmatched, compared.pose)
+        new = self._started(unmatched, here)
         accepted = {i: less_certain(one, self.records[i]) for i, one in (seen | new).items()}
-        pieces += more
         discarded = len(observations) - len(accepted) - pieces
-        return Association(accepted, discarded, compared.nis(seen), 2 * len(seen), pieces, slip)
+        nis = innovations.nis(list(seen.values()), places)
+        return Association(accepted, discarded, nis, 2 * len(seen), pieces, slip)
 
     def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
         """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
         self._scan += 1
         estimate = estimator.estimate()
-        known, misread, nis = set(estimate.ids.tolist()), set(), 0.0
+        known = set(estimate.ids.tolist())
         old = [i for i in observations if i in known]
-        if old:
-            innovation = compare_known(observations, old, estimate, estimator)
-            kept = np.flatnonzero(np.diag(innovation.squared) <= self._named_gate)
-            misread = set(old) - {old[k] for k in kept}
-            nis = innovation.nis([observations[old[k]] for k in kept], kept)
+        innovation = compare_known(observations, old, estimate, estimator)
+        kept = np.flatnonzero(np.diag(innovation.squared) <= self._named_gate)
+        misread = set(old) - {old[k] for k in kept}
+        nis = innovation.nis([observations[old[k]] for k in kept], kept)
         accepted = {i: observation for i, observation in observations.items() if i not in misread}
         for i in misread:
             self.records[i].misread += 1
@@ -146,17 +129,17 @@ class Associator:
         duplicate an older wall, or are of a prior map and no longer there.
         """
         self._move_extents(estimate)
+        is_due, merged = self._scan % CULL_PERIOD == 0, list[LandmarkId]()
         gone = [i for i, record in self.records.items() if record.misread > record.observations]
-        if self._scan % CULL_PERIOD == 0:
-            gone += self._rare()
-            gone += self._vanished(estimate)
-        for i in set(gone):
+        if is_due:
+            gone = [*dict.fromkeys([*gone, *self._rare(), *self._vanished(estimate)])]
+        for i in gone:
             del self.records[i]
-        self.culled += len(set(gone))
-        merged = self._merged(estimator, estimate) if self._scan % CULL_PERIOD == 0 else []
-        if self._scan % CULL_PERIOD == 0:
+        self.culled += len(gone)
+        if is_due:
+            merged = self._merged(estimator, estimate)
             self._crookedness.update(self.records.values())
-        return [*dict.fromkeys(gone), *merged]
+        return [*gone, *merged]
 
     def _move_extents(self, estimate: Estimate) -> None:
         """Move the extents of walls onto their lines as they are estimated now."""
@@ -177,55 +160,43 @@ class Associator:
                 known[i] = fused(known[i], observation) if i in known else observation
         return known, matches.matched - len(known)
 
-    def _look(self, seen: Mapping[LandmarkId, Observation], compared: Compared, estimate: Estimate) -> None:
-        """Record what was seen of known landmarks, and learn how crooked walls are from those that are seen anew."""
+    def _look(
+        self,
+        seen: Mapping[LandmarkId, Observation],
+        innovations: Innovations,
+        places: Indices,
+        here: Pose,
+        estimate: Estimate,
+    ) -> None:
+        """Record what was seen of known landmarks from the pose `here`, and learn how crooked walls are seen anew.
+
+        `places` (n,) are those of the landmarks in the innovations.
+        """
         rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        for (i, observation), place in zip(seen.items(), compared.places.tolist(), strict=True):
+        for (i, observation), place in zip(seen.items(), places.tolist(), strict=True):
             record = self.records[i]
             if observation.is_wall:
-                stretch = ends(compared.pose, observation)
+                stretch = ends(here, observation)
                 record.extent = joined(estimate.landmarks[rows[i]], record.extent, stretch)
                 if record.look(stretch, self._scan):
-                    self._crookedness.add(record, *compared.innovation(observation, place))
+                    self._crookedness.add(record, *innovations.innovation(observation, place))
             record.observations += 1
             record.last_scan = self._scan
 
-    def _started(self, observations: Sequence[Observation], here: Pose) -> tuple[dict[LandmarkId, Observation], int]:
-        """New landmarks seen from the pose `here`, and how many observations were fused with another one of these.
-
-        One scan may show a wall's end from both sides, or a wall in two pieces: that is one landmark. Of two walls of a
-        scan that contradict each other both are started: the returns of each are straight.
-        """
+    def _started(self, observations: Sequence[Observation], here: Pose) -> dict[LandmarkId, Observation]:
+        """New landmarks seen from the pose `here`; an end of a wall that is seen from both of its sides is one."""
         new: dict[LandmarkId, Observation] = {}
-        pieces = 0
         for observation in observations:
-            twin = next((i for i, other in new.items() if self._are_one(observation, other)), None)
-            if twin is None:
-                record = Record(observation.kind, 1, self._scan, self._scan)
-                record.square_m2 = self._crookedness.square_m2(record)
-                self.records[self._next_id] = record
-                new[self._next_id] = observation
-                self._next_id += 1
-            elif observation.is_wall:
-                new[twin] = fused(new[twin], observation)
-                pieces += 1
-        for i, observation in new.items():
+            others = [] if observation.is_wall else [other for other in new.values() if not other.is_wall]
+            if any(math.dist(observation.z, other.z) <= self._config.new_separation_m for other in others):
+                continue
+            record = Record(observation.kind, 1, self._scan, self._scan)
+            record.square_m2 = self._crookedness.square_m2(record)
             if observation.is_wall:
-                self.records[i].extent = self.records[i].stretch = ends(here, observation)
-        return new, pieces
-
-    def _are_one(self, one: Observation, other: Observation) -> bool:
-        """Whether two observations of one scan, neither of a known landmark, are of one landmark."""
-        if one.is_wall != other.is_wall:
-            return False
-        if not one.is_wall:
-            return math.dist(one.z, other.z) <= self._config.new_separation_m
-        here, wall = Pose(), np.ones(1, dtype=bool)
-        extent = ends(here, other)[None]
-        distances = Distances.between(ends(here, one)[None], one.z[:1], wall, other.z[None], wall, extent)
-        if distances.apart(self._config)[0, 0]:
-            return False
-        return disagreement(one.z, other.z, one.cov + other.cov) <= self._config.match_gate
+                record.extent = record.stretch = ends(here, observation)
+            self.records[self._next_id], new[self._next_id] = record, observation
+            self._next_id += 1
+        return new
 
     def _rare(self) -> list[LandmarkId]:
         """Landmarks that were seen too rarely a period after their first observation (report: bad landmarks)."""
@@ -238,7 +209,7 @@ class Associator:
         gone: list[LandmarkId] = []
         for i, landmark, is_wall in zip(estimate.ids.tolist(), estimate.landmarks, estimate.walls, strict=True):
             record = self.records.get(i) if i in self._prior else None
-            if record is None or self._scan - record.last_scan < CULL_PERIOD:
+            if record is None or self._are_free is None or self._scan - record.last_scan < CULL_PERIOD:
                 continue
             places = np.linspace(record.extent[0], record.extent[1], _PARTS + 1) if is_wall else landmark[None]
             if np.mean(self._are_free(places, within_m)) > 0.5:
@@ -257,7 +228,10 @@ class Associator:
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
         recent = np.array([self._scan - record.last_scan < CULL_PERIOD for record in records], dtype=bool)
         gone: list[LandmarkId] = []
-        for j, k in collinear_pairs(walls, extents, recent, self._config.new_separation_m):
+        every = np.ones(len(ids), dtype=bool)
+        near = ~Distances.between(extents, walls[:, 0], every, walls, every, extents).apart(self._config)
+        near &= recent[:, None] & (~np.tri(len(ids), dtype=bool) | ~recent)
+        for j, k in np.argwhere(near).tolist():
             if ids[j] in gone or ids[k] in gone:
                 continue
             joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]
@@ -277,35 +251,3 @@ def _shows_slip(matches: Matches) -> bool:
     shown = len(matches.landmark)
     neither = shown - matches.matched - int(np.count_nonzero(matches.is_new))
     return shown >= _LEAST and (matches.matched < _LEAST - 1 or 2 * neither > shown)
-
-
-def _after_slip(
-    at: Callable[[Belief, Estimate], Matches], belief: Belief, estimate: Estimate, here: Matches
-) -> tuple[Matches, Odometry | None]:
-    """The matches after a slip, and the slip, if they are worth more than those `here`; else these.
-
-    Wheels slip, and a robot is pushed. Then the matches are chosen once more, `at` the same pose with the covariance of
-    a slip added. The squared innovation of all matches together includes the squared distance of the slip.
-    """
-    slipped = _Slipped(belief, estimate)
-    found = at(slipped, slipped.estimate())
-    if found.matched < _LEAST or found.worth - _SLIP_PRICE <= here.worth:
-        return here, None
-    return found, Odometry(estimate.pose.inverse() @ found.pose, _SLIP_COV)
-
-
-class _Slipped:
-    """A belief whose robot may have slipped."""
-
-    def __init__(self, belief: Belief, estimate: Estimate) -> None:
-        self._belief, self._estimate = belief, replace(estimate, pose_cov=estimate.pose_cov + _SLIP_COV)
-
-    def estimate(self) -> Estimate:
-        """The present pose with its covariance, and the landmarks' means."""
-        return self._estimate
-
-    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
-        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
-        joint = self._belief.joint_covariance(ids)
-        joint[:3, :3] += _SLIP_COV
-        return joint

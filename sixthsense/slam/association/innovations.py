@@ -21,6 +21,7 @@ from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
 """share of the observations of a wall that show a stretch of it that was not seen before"""
+_NO_SLIP = np.zeros((3, 3))
 
 
 class Innovations(NamedTuple):
@@ -51,6 +52,12 @@ class Innovations(NamedTuple):
         k = np.arange(len(self.predicted))
         return self.pairs.predicted.reshape(len(k), 2, len(k), 2)[k, :, k]
 
+    def innovation(self, wall: Observation, place: int) -> tuple[Array, Array, Array]:
+        """Innovation (2,) of a wall, its covariance (2, 2) were the wall straight, and what 1 m^2 adds to that."""
+        at, is_wall = slice(place, place + 1), np.ones(1, dtype=bool)
+        values, noise = innovations_of(wall.z[None], wall.cov[None], self.predicted[at], is_wall)
+        return values[0], self.own[place] + noise[0], unit_cov(*wall.extent, True)
+
     def worth(self, matched: Indices, gate: float) -> float:
         """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
         values, S, _ = self._together(matched)
@@ -68,10 +75,8 @@ class Innovations(NamedTuple):
 
         The observations need not be those that were compared.
         """
-        if not observations:
-            return 0.0
-        z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
-        values, noise = innovations_of(z, cov, self.predicted[landmarks], self.walls[landmarks])
+        seen = Observed.of(observations)
+        values, noise = innovations_of(seen.z, seen.cov, self.predicted[landmarks], self.walls[landmarks])
         return _nis(values, _joint(self.pairs.predicted, _places(landmarks), noise))
 
 
@@ -92,7 +97,7 @@ def compare_known(
 ) -> Innovations:
     """Innovations of the observations of landmarks that are known."""
     order = {i: k for k, i in enumerate(estimate.ids.tolist())}
-    near, seen = np.array([order[i] for i in known]), Observed.of([observations[i] for i in known])
+    near, seen = np.array([order[i] for i in known], dtype=np.int64), Observed.of([observations[i] for i in known])
     return compare(seen, np.zeros(len(known)), estimate, near, estimator.joint_covariance(known))
 
 
@@ -147,10 +152,8 @@ class Matches(NamedTuple):
     """(m,)"""
     near: Indices
     """(k,) ids of the landmarks that were compared"""
-    place: Indices
-    """(m,) place of the landmark among these; -1: none"""
-    innovations: Innovations | None
-    """against these; None: there are none"""
+    innovations: Innovations
+    """against these"""
     pose: Pose
     """`T_world_robot` that the matches imply"""
     worth: float
@@ -161,61 +164,30 @@ class Matches(NamedTuple):
         """Number of observations that are matched."""
         return int(np.count_nonzero(self.landmark >= 0))
 
-    def compared(self, seen: Mapping[LandmarkId, Observation]) -> Compared:
-        """The matched observations, fused, as they were compared."""
-        places = {i: j for j, i in enumerate(self.near.tolist())}
-        return Compared(self.innovations, np.array([places[i] for i in seen], dtype=np.int64), self.pose)
-
-
-class Compared(NamedTuple):
-    """Observations of known landmarks beside what an estimator expects of these."""
-
-    innovations: Innovations | None
-    """None: there are no landmarks"""
-    places: Indices
-    """(n,) of the landmarks of the observations in these"""
-    pose: Pose
-    """`T_world_robot` that they imply"""
-
-    def nis(self, seen: Mapping[LandmarkId, Observation]) -> float:
-        """Normalised innovation squared of the observations together."""
-        return 0.0 if self.innovations is None else self.innovations.nis(list(seen.values()), self.places)
-
-    def innovation(self, wall: Observation, place: int) -> tuple[Array, Array, Array]:
-        """Innovation (2,) of a wall, its covariance (2, 2) were the wall straight, and what 1 m^2 adds to that."""
-        assert self.innovations is not None
-        at, is_wall = slice(place, place + 1), np.ones(1, dtype=bool)
-        values, noise = innovations_of(wall.z[None], wall.cov[None], self.innovations.predicted[at], is_wall)
-        return values[0], self.innovations.own[place] + noise[0], unit_cov(*wall.extent, True)
-
-
-def by_estimator(seen: Mapping[LandmarkId, Observation], estimator: Belief, estimate: Estimate) -> Compared:
-    """Compare observations of known landmarks with an estimate."""
-    own = np.arange(len(seen))
-    if not seen:
-        return Compared(None, own, estimate.pose)
-    innovations = compare_known(seen, list(seen), estimate, estimator)
-    return Compared(innovations, own, innovations.pose_given(estimate.pose, own))
-
 
 def match(
-    observed: Observed, belief: Belief, estimate: Estimate, extents: Array, squares_m2: Array, cfg: AssociationConfig
+    observed: Observed,
+    belief: Belief,
+    estimate: Estimate,
+    extents: Array,
+    squares_m2: Array,
+    cfg: AssociationConfig,
+    slip_cov: Array = _NO_SLIP,
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
     `observed` are the arrays of the observations, `estimate` (n landmarks) is that of `belief`; `extents` (n, 2, 2) are
-    the ends of its walls, world frame, and `squares_m2` (n,) their deviations from straight ones. Nothing is recorded.
+    the ends of its walls, world frame, `squares_m2` (n,) their deviations from straight ones, and `slip_cov` (3, 3) is
+    added to the covariance of the pose. Nothing is recorded.
     """
-    m = len(observed.z)
+    estimate = replace(estimate, pose_cov=estimate.pose_cov + slip_cov)
     sigmas = observed.sigmas_m(estimate.pose_cov)
     distances = Distances.at(estimate.pose, observed, estimate, extents)
     plausible = distances.plausible(sigmas, math.sqrt(estimate.pose_cov[2, 2]), cfg)
     near = np.flatnonzero(plausible.any(axis=0))
-    ids, none = estimate.ids[near], np.full(m, -1)
-    if not len(near):
-        is_new = np.asarray(distances.apart(cfg).all(axis=1))
-        return Matches(none, is_new, ids, none, None, estimate.pose, 0.0)
+    ids = estimate.ids[near]
     joint = np.ascontiguousarray(belief.joint_covariance(ids.tolist()))
+    joint[:3, :3] += slip_cov
     innovations = compare(observed, squares_m2[near], estimate, near, joint)
     gaps, plausible = distances.gap_m[:, near], plausible[:, near]
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
@@ -223,11 +195,14 @@ def match(
     if cfg.proposed_by == "estimate":
         found = _without_lone_one(observed, innovations, found, cfg)
     is_matched = found >= 0
-    is_far = ~is_matched & (squared_given(innovations.pairs, plausible, found).min(axis=1) > cfg.new_gate)
+    nearest = squared_given(innovations.pairs, plausible, found).min(axis=1, initial=math.inf)
+    is_far = ~is_matched & (nearest > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
     is_new = _new_ones(observed, replace(estimate, pose=here), extents, is_matched, is_far, cfg)
     worth = innovations.worth(found, cfg.match_gate)
-    return Matches(np.where(is_matched, ids[found], -1), is_new, ids, found, innovations, here, worth)
+    landmark = np.full(len(found), -1)
+    landmark[is_matched] = ids[found[is_matched]]
+    return Matches(landmark, is_new, ids, innovations, here, worth)
 
 
 def _without_lone_one(observed: Observed, innovations: Innovations, found: Indices, cfg: AssociationConfig) -> Indices:
@@ -262,7 +237,6 @@ def _new_ones(
     return is_far & (is_apart | may_be_beside)
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _penalties(
     innovations: Innovations, plausible: Mask, gate: float, gaps: Array, lengths: Array, slacks: Array
 ) -> Array:
@@ -274,22 +248,16 @@ def _penalties(
     the landmark in the gate that covers most. Two walls that meet at a small angle are one beside the other where they
     meet, and a short piece of the one passes the gate of both, though it lies beyond what is known of the other.
     """
-    m, k = plausible.shape
-    out = np.empty((m, k))
-    for i in range(m):
-        densest, most = np.inf, _EXTENDED
-        for j in range(k):
-            if plausible[i, j] and innovations.squared[i, j] < gate:
-                densest = min(densest, innovations.log_det[i, j])
-                most = max(most, _covered(gaps[i, j], lengths[i], 0.0))
-        for j in range(k):
-            lacking = max(innovations.log_det[i, j] - densest, 0.0)
-            share = max(_covered(gaps[i, j], lengths[i], slacks[i]), _EXTENDED)
-            out[i, j] = lacking + 2.0 * math.log(max(most / share, 1.0))
-    return out
+    inside = plausible & (innovations.squared < gate)
+    densest = np.where(inside, innovations.log_det, np.inf).min(axis=1, initial=np.inf)
+    most = np.where(inside, _covered(gaps, lengths, 0.0 * slacks), 0.0).max(axis=1, initial=_EXTENDED)
+    lacking = np.maximum(innovations.log_det - densest[:, None], 0.0)
+    share = np.maximum(_covered(gaps, lengths, slacks), _EXTENDED)
+    return np.asarray(lacking + 2.0 * np.log(np.maximum(most[:, None] / share, 1.0)))
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _covered(gap: float, length: float, slack: float) -> float:
-    """Share, 0 to 1, of an observed wall on what is known of the landmark, after a shift by `slack`; 1 of a point."""
-    return min(max((slack - gap) / length, 0.0), 1.0) if length > 0.0 else 1.0
+def _covered(gaps: Array, lengths: Array, slacks: Array) -> Array:
+    """(m, k) share, 0 to 1, of observed walls on what is known of landmarks, after shifts by `slacks`; 1 of a point."""
+    lengths = lengths[:, None]
+    shares = (slacks[:, None] - gaps) / np.where(lengths > 0.0, lengths, 1.0)
+    return np.where(lengths > 0.0, np.clip(shares, 0.0, 1.0), 1.0)

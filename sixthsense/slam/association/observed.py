@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of, line_ends
 from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.core.se2 import wrapped
@@ -51,11 +51,15 @@ class Observed(NamedTuple):
         cov = np.array([s.cov for s in observations]).reshape(-1, 2, 2)
         walls = np.array([s.is_wall for s in observations], dtype=bool)
         extents = np.array([s.extent for s in observations]).reshape(-1, 2)
-        return cls(z, cov, walls, extents, _ends(z, walls, extents))
+        lines = [line_ends(s.z, *s.extent) if s.is_wall else np.tile(s.z, (2, 1)) for s in observations]
+        return cls(z, cov, walls, extents, np.array(lines).reshape(-1, 2, 2))
 
     def sigmas_m(self, pose_cov: Array) -> Array:
         """(m,) upper bound of the sigma of a point, or of a wall's middle, in the world; `pose_cov` (3, 3)."""
-        return _sigmas(self, math.sqrt(pose_cov[0, 0] + pose_cov[1, 1]), math.sqrt(pose_cov[2, 2]))
+        of_point, middles = self.cov[:, 0, 0] + self.cov[:, 1, 1], self.ends.mean(axis=1)
+        variances = np.where(self.walls, offset_variance(self.cov, self.extents.mean(axis=1)), of_point)
+        by_heading = np.hypot(middles[:, 0], middles[:, 1]) * math.sqrt(pose_cov[2, 2])
+        return np.asarray(np.sqrt(np.maximum(variances, 0.0)) + by_heading + math.sqrt(np.trace(pose_cov[:2, :2])))
 
 
 class Distances(NamedTuple):
@@ -104,35 +108,9 @@ class Distances(NamedTuple):
         return np.asarray(~(near & (self.gap_m < WALL_GAP_M)))
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _ends(z: Array, walls: Mask, extents: Array) -> Array:
-    out = np.empty((len(z), 2, 2))
-    for i in range(len(z)):
-        ends = line_ends(z[i], extents[i, 0], extents[i, 1])
-        for end in range(2):
-            for axis in range(2):
-                out[i, end, axis] = ends[end, axis] if walls[i] else z[i, axis]
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def offset_variance(cov: Array, along: float) -> float:
-    """Variance, m^2, of the offset of a wall with `cov` (2, 2) at a place `along` it, m from the foot of its normal."""
-    return float(cov[1, 1] - 2.0 * along * cov[0, 1] + along * along * cov[0, 0])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _sigmas(observed: Observed, pose_m: float, heading: float) -> Array:
-    out = np.empty(len(observed.z))
-    for i in range(len(out)):
-        cov, ends, alpha = observed.cov[i], observed.ends[i], observed.z[i, 0]
-        x, y = 0.5 * (ends[0, 0] + ends[1, 0]), 0.5 * (ends[0, 1] + ends[1, 1])
-        var = cov[0, 0] + cov[1, 1]
-        if observed.walls[i]:
-            along = math.cos(alpha) * y - math.sin(alpha) * x
-            var = offset_variance(cov, along)
-        out[i] = math.sqrt(max(var, 0.0)) + math.hypot(x, y) * heading + pose_m
-    return out
+def offset_variance(cov: Array, along: Any) -> Any:
+    """Variances of the offsets of walls with `cov` (..., 2, 2) at places `along` them, m from the normal's foot."""
+    return cov[..., 1, 1] - 2.0 * along * cov[..., 0, 1] + along * along * cov[..., 0, 0]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -166,37 +144,16 @@ def ends(pose: Pose, observation: Observation) -> Array:
     return pose @ np.asarray(line_ends(observation.z, *observation.extent))
 
 
-def collinear_pairs(
-    landmarks: Array, extents: Array, recent: NDArray[np.bool_], offset_m: float
-) -> list[tuple[int, int]]:
-    """Pairs of walls (n, 2), at least one of them `recent` (n,), that may be one by direction, offset and extent."""
-    pairs: list[tuple[int, int]] = []
-    mine, walls = np.flatnonzero(recent), np.ones(len(landmarks), dtype=bool)
-    if not len(mine):
-        return pairs
-    near = Distances.between(extents[mine], landmarks[mine, 0], walls[mine], landmarks, walls, extents)
-    close = (near.turn_rad < _PARALLEL_RAD) & (near.metres <= offset_m) & (near.gap_m < WALL_GAP_M)
-    for j, k in zip(*np.nonzero(close), strict=True):
-        first, second = int(mine[j]), int(k)
-        if first != second and not (recent[second] and second < first):
-            pairs.append((first, second))
-    return pairs
-
-
 def disagreement(first: Array, second: Array, cov: Array) -> float:
     """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
     (gap,), (about,) = innovations_of(first[None], cov[None], second[None], _ONE_WALL)
     return float(gap @ np.linalg.solve(about, gap))
 
 
-@numba.njit(cache=True, error_model="numpy")
 def joined(landmark: Array, first: Array, second: Array) -> Array:
     """(2, 2) ends, on a landmark (2,), of the smallest extent that covers two extents (2, 2)."""
-    c, s = math.cos(landmark[0]), math.sin(landmark[0])
-    low, high = math.inf, -math.inf
-    for x, y in (first[0], first[1], second[0], second[1]):
-        low, high = min(low, c * y - s * x), max(high, c * y - s * x)
-    return line_ends(landmark, low, high)
+    places = np.concatenate([first, second]) @ rotation(float(landmark[0]))[:, 1]
+    return np.asarray(line_ends(landmark, float(places.min()), float(places.max())))
 
 
 def fused(first: Observation, second: Observation) -> Observation:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -21,19 +20,8 @@ from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators.base import Estimate
 
 _POSE_COV = np.diag([0.04, 0.04, 0.01]) ** 2  # of a proposed pose, beside what the graph of scans is uncertain of
-_MOST_SIGMA_M, _MOST_SIGMA_RAD = 0.35, 0.2  # landmarks of keyframes that are less certain are not matched
+_MOST_SIGMAS = 0.35, 0.35, 0.2  # landmarks of keyframes that are less certain are not matched
 _GATE_SIGMAS = 0.1, 0.1, 0.03  # gates count no more: a proposal that is farther off matches nothing
-
-
-class Proposal(NamedTuple):
-    """Where the robot is relative to its earlier keyframes."""
-
-    relative: Array
-    """(K, 3) poses of the earlier keyframes in the robot's frame"""
-    sigma_m: Array
-    """(K,) of their positions"""
-    sigma_rad: Array
-    """(K,) of their headings"""
 
 
 class ProposedLandmarks:
@@ -55,21 +43,23 @@ class ProposedLandmarks:
         """(3 + 2k, 3 + 2k) of the proposed pose and of k landmarks in the robot's frame, in the order asked."""
         return np.asarray(block_diag(_POSE_COV, *(self._covs[i] for i in ids)))
 
-    def place(self, proposal: Proposal, estimate: Estimate) -> None:
-        """Place the landmarks of an estimate by a proposal, with their extents."""
-        certain = (proposal.sigma_m < _MOST_SIGMA_M) & (proposal.sigma_rad < _MOST_SIGMA_RAD)
+    def place(self, relative: Array, sigmas: Array, estimate: Estimate) -> None:
+        """Place the landmarks of an estimate, with their extents.
+
+        `relative` (K, 3) are poses of earlier keyframes in the robot's frame, and `sigmas` (K, 3) of these.
+        """
+        certain = np.all(sigmas < _MOST_SIGMAS, axis=1)
         ids = [i for i in estimate.ids.tolist() if i in self._last and certain[self._last[i][0]]]
         landmarks, extents = np.zeros((len(ids), 2)), np.zeros((len(ids), 2, 2))
         for k, i in enumerate(ids):
             key, seen, ends = self._last[i]
-            pose = Pose(*proposal.relative[key].tolist())
+            pose = Pose(*relative[key].tolist())
             landmarks[k], by_pose, by_z = initialize_landmark(pose, seen)
-            extents[k], sigmas = pose @ ends, np.array([*[proposal.sigma_m[key]] * 2, proposal.sigma_rad[key]])
-            of_pose = by_pose * np.minimum(sigmas, _GATE_SIGMAS)
+            extents[k] = pose @ ends
+            of_pose = by_pose * np.minimum(sigmas[key], _GATE_SIGMAS)
             self._covs[i] = by_z @ seen.cov @ by_z.T + of_pose @ of_pose.T
         walls = np.array([self._last[i][1].is_wall for i in ids], dtype=np.bool_)
-        self._here = Estimate(Pose(), _POSE_COV, np.array(ids, dtype=np.int64), landmarks, walls)
-        self.extents = extents
+        self._here, self.extents = Estimate(Pose(), _POSE_COV, np.array(ids, dtype=np.int64), landmarks, walls), extents
 
     def remember(
         self,

@@ -6,7 +6,6 @@ difference is learned for each wall from its own innovations, with the mean of a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -14,7 +13,6 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 
@@ -94,23 +92,17 @@ def _overlap(before: Array, now: Array) -> float:
     return max(0.0, min(max(a, b), max(c, d)) - max(min(a, b), min(c, d))) / either if either > 0.0 else 0.0
 
 
-@numba.njit(cache=True, error_model="numpy")
 def on_lines(walls: Array, extents: Array) -> Array:
     """(n, 2, 2) extents moved onto the lines of walls (n, 2): a wall takes its extent along as its estimate moves.
 
     The length stays, and the middle moves along the normal: an estimate does not say how far a wall moved along itself.
     """
-    out = np.empty_like(extents)
-    for k in range(len(walls)):
-        c, s = math.cos(walls[k, 0]), math.sin(walls[k, 0])
-        (x, y), (other_x, other_y) = extents[k, 0], extents[k, 1]
-        along, half = 0.5 * (c * (y + other_y) - s * (x + other_x)), 0.5 * math.hypot(other_x - x, other_y - y)
-        if c * (other_y - y) - s * (other_x - x) < 0.0:
-            half = -half
-        ends = line_ends(walls[k], along - half, along + half)
-        for end in range(2):
-            out[k, end, 0], out[k, end, 1] = ends[end, 0], ends[end, 1]
-    return out
+    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
+    normal, along = np.column_stack([c, s]), np.column_stack([-s, c])
+    places, span = np.einsum("nea,na->ne", extents, along), extents[:, 1] - extents[:, 0]
+    half = np.copysign(0.5 * np.hypot(span[:, 0], span[:, 1]), places[:, 1] - places[:, 0])
+    places = 0.5 * places.sum(axis=1, keepdims=True) + half[:, None] * [-1.0, 1.0]
+    return np.asarray((walls[:, 1:] * normal)[:, None] + places[:, :, None] * along[:, None])
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -168,17 +160,10 @@ class Crookedness:
         return np.asarray(np.log(total / total.sum()))
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _log_densities(value: Array, cov: Array, unit: Array) -> Array:
     """(8,) log densities of an innovation (2,) for each of `SQUARES_M2`."""
-    out = np.empty(len(SQUARES_M2))
-    for k in range(len(SQUARES_M2)):
-        a, b = cov[0, 0] + SQUARES_M2[k] * unit[0, 0], cov[0, 1] + SQUARES_M2[k] * unit[0, 1]
-        d = cov[1, 1] + SQUARES_M2[k] * unit[1, 1]
-        det = a * d - b * b
-        squared = (value[0] ** 2 * d - 2.0 * value[0] * value[1] * b + value[1] ** 2 * a) / det
-        out[k] = -0.5 * (squared + math.log(det))
-    return out
+    S = cov + SQUARES_M2[:, None, None] * unit
+    return np.asarray(-0.5 * (value @ np.linalg.inv(S) @ value + np.log(np.linalg.det(S))))
 
 
 def less_certain(observation: Observation, record: Record) -> Observation:

@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -203,27 +202,18 @@ def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
             raise ValueError(f"observation of landmark {i}: expected z (2,) and cov (2, 2), got {got}")
     z = np.array([s.z for s in observations.values()], dtype=np.float64)
     cov = np.array([s.cov for s in observations.values()], dtype=np.float64)
-    k = _first_invalid(z, cov)
-    if k < 0:
+    with np.errstate(invalid="ignore", over="ignore"):
+        det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
+        is_symmetric = np.abs(cov[:, 0, 1] - cov[:, 1, 0]) <= COVARIANCE_SLACK * np.abs(cov).max(axis=(1, 2))
+    is_valid = np.isfinite(z).all(axis=1) & np.isfinite(det) & is_symmetric & (cov[:, 0, 0] > 0.0) & (det > 0.0)
+    if is_valid.all():
         return
+    k = int(np.argmin(is_valid))
     name = f"observation of landmark {list(observations)[k]}"
     if not np.isfinite(z[k]).all():
         raise ValueError(f"{name}: found z {z[k]}, allowed: finite numbers")
     fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
     raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, with positive eigenvalues")
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _first_invalid(z: Array, cov: Array) -> int:
-    """The first of m observations (m, 2) with covariances (m, 2, 2) that is not valid, or -1."""
-    for k in range(len(z)):
-        a, b, other, d = cov[k, 0, 0], cov[k, 0, 1], cov[k, 1, 0], cov[k, 1, 1]
-        det = a * d - b * other
-        is_symmetric = abs(b - other) <= COVARIANCE_SLACK * np.abs(cov[k]).max()
-        is_finite = np.isfinite(det) and np.isfinite(z[k, 0]) and np.isfinite(z[k, 1])
-        if not (is_finite and is_symmetric and a > 0.0 and det > 0.0):
-            return k
-    return -1
 
 
 def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:

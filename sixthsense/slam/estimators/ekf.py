@@ -8,12 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
-from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg import block_diag, solve_triangular
 
 from sixthsense.core.covariance import check_covariance
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of, stacked, translations
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -21,25 +19,12 @@ from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import move_covariance
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import Wheels
-from sixthsense.slam.estimators.base import (
-    Estimate,
-    LandmarkPrior,
-    check_observations,
-    check_parameters,
-    check_prior,
-)
-from sixthsense.slam.estimators.ekf_algebra import (
-    add,
-    expected,
-    new_landmark,
-    propagate,
-    seen_through,
-    selected,
-)
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_parameters, check_prior
+from sixthsense.slam.estimators.ekf_algebra import expected, new_landmark
 
 
 class EKF:
-    """EKF-SLAM with one batch update per keyframe; the covariance lives in the lower triangle of one array.
+    """EKF-SLAM with one batch update per keyframe.
 
     State: x, y, theta of the robot, the wheels' parameters if they are estimated, then two numbers for each landmark.
     Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly: a turn of
@@ -63,8 +48,8 @@ class EKF:
         """(n, 2) of walls, or zero; zero for points"""
         self._anchors = np.zeros((0, 2))
         """(n, 2) means as first estimated, for variants that linearize there"""
-        # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
-        self._cov = np.array(cov, order="F")
+        self._cov = np.array(cov)
+        """(n, n) of the state, symmetric to the last bit"""
         self._slots: dict[LandmarkId, int] = {}
         self._parameters: dict[Any, Any] = {}
         """values of the parameters by their class, `Wheels` or `Sensor`, if they are estimated"""
@@ -84,7 +69,8 @@ class EKF:
         self._centres = np.where(prior.walls[:, None] & self._has_centres, middles, 0.0)
         means, jacobian = translations(prior.landmarks, prior.walls, -(self._origin + self._centres))
         to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
-        self._cov = np.asfortranarray(block_diag(self._cov, to_start @ prior.cov @ to_start.T))
+        cov = to_start @ prior.cov @ to_start.T
+        self._cov = block_diag(self._cov, 0.5 * (cov + cov.T))
         self._means, self._anchors, self._walls = means, means.copy(), prior.walls.copy()
         self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
 
@@ -93,14 +79,13 @@ class EKF:
         kind, end = type(prior.values), self._head + len(prior.cov)
         check_parameters(prior, self._has_begun or kind in self._parameters)
         self._parameters[kind], self._at[kind], self._head = prior.values, slice(self._head, end), end
-        self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
+        self._cov = block_diag(self._cov, prior.cov)
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
         """The parameters of this kind, if they are estimated."""
         if of not in self._parameters:
             return None
-        at = self._at[of]
-        return ParameterEstimate(self._parameters[of], self._symmetric(np.arange(at.start, at.stop)))
+        return ParameterEstimate(self._parameters[of], self._cov[self._at[of], self._at[of]].copy())
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; the covariance is propagated at the next call that needs it.
@@ -136,7 +121,7 @@ class EKF:
         keep = [(i, slot) for i, slot in self._slots.items() if slot not in gone]
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         kept = np.concatenate([np.arange(self._head), self._places(slots)])
-        self._cov = selected(self._cov.T, kept).T
+        self._cov = self._cov[np.ix_(kept, kept)]
         self._means, self._anchors = self._means[slots], self._anchors[slots]
         self._walls, self._centres = self._walls[slots], self._centres[slots]
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
@@ -146,14 +131,14 @@ class EKF:
         self._propagate()
         landmarks, _ = translations(self._means, self._walls, self._origin + self._centres)
         ids = np.array(list(self._slots), dtype=np.int64)
-        return Estimate(self._in_world(self._pose), self._symmetric(np.arange(3)), ids, landmarks, self._walls.copy())
+        return Estimate(self._in_world(self._pose), self._cov[:3, :3].copy(), ids, landmarks, self._walls.copy())
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
-        joint = self._symmetric(np.concatenate([np.arange(3), self._places(slots)]))
-        joint = self._about_estimates(joint, slots)
+        index = np.concatenate([np.arange(3), self._places(slots)])
+        joint = self._about_estimates(self._cov[np.ix_(index, index)], slots)
         _, jacobian = translations(self._means[slots], self._walls[slots], self._origin + self._centres[slots])
         for k in np.flatnonzero(self._walls[slots]):
             at = slice(3 + 2 * k, 5 + 2 * k)
@@ -176,7 +161,8 @@ class EKF:
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
         """Correct the pose and all landmarks by `shift` (3 + 2n,), after an update with the landmarks in `slots`."""
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
-        add(self._means, self._walls, shift[3:])
+        self._means += shift[3:].reshape(-1, 2)
+        self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
 
     def _about_estimates(self, joint: Array, slots: NDArray[np.int64]) -> Array:
         """The covariance (3 + 2k, 3 + 2k) of pose and landmarks about their estimates, from the stored one."""
@@ -198,10 +184,6 @@ class EKF:
         """(2k,) places in the state of the landmarks in `slots`."""
         return (self._head + 2 * slots[:, None] + np.arange(2)).ravel()
 
-    def _symmetric(self, index: NDArray[np.int64]) -> Array:
-        rows, cols = index[:, None], index[None, :]
-        return self._cov[np.maximum(rows, cols), np.minimum(rows, cols)]
-
     def _propagate(self) -> None:
         """Sigma = Phi Sigma Phi^T + G Q G^T, the correct form of the report's eq. 8-9, on pose and wheels.
 
@@ -217,12 +199,16 @@ class EKF:
         by_head[0, 2], by_head[1, 2] = -lever[1], lever[0]
         if wheels is not None and pending.wheels is not None:
             by_head[:3, self._at[Wheels]] = Pose(theta=pose.theta).adjoint() @ pending.wheels.jacobian
-        propagate(self._cov.T, by_head, move_covariance((0.0, 0.0, pose.theta), pending.cov))
+        k = self._head
+        head = by_head @ self._cov[:k]
+        own = head[:, :k] @ by_head.T
+        own[:3, :3] += move_covariance((0.0, 0.0, pose.theta), pending.cov)
+        self._cov[:k, k:], self._cov[k:, :k], self._cov[:k, :k] = head[:, k:], head[:, k:].T, 0.5 * (own + own.T)
         self._pose = pose
         self._pending = STANDSTILL
 
     def _correct(self, slots: NDArray[np.int64], observations: list[Observation]) -> Array:
-        """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle.
+        """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2.
 
         Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
@@ -238,35 +224,28 @@ class EKF:
                 # At the observed point its noise would be in the Jacobian, which biases the parameters.
                 H[2 * k : 2 * k + 2, self._at[Sensor]] = -sensor.jacobian(sensor.reported(predicted[k]))
         index = np.concatenate([np.arange(self._head), self._places(slots)])
-        cross, S = seen_through(self._cov.T, index, H, noise)
-        root, fault = dpotrf(S, lower=1)
-        if fault:
-            raise np.linalg.LinAlgError("update: the innovations' covariance is not positive definite")
-        W = dtrsm(1.0, root, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, 2m)
-        self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
-        return np.asarray(W @ dtrsm(1.0, root, innovation.reshape(-1, 1), lower=1)[:, 0])
+        cross = H @ self._cov[index]  # (2m, n)
+        root = np.linalg.cholesky(cross[:, index] @ H.T + block_diag(*noise))
+        W = solve_triangular(root, cross, lower=True).T  # (n, 2m)
+        self._cov -= W @ W.T
+        return np.asarray(W @ solve_triangular(root, innovation.ravel(), lower=True))
 
     def _augment(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Append new landmarks, initialized at the pose of this update."""
         if not observations:
             return
-        n, k = len(self._cov), len(observations)
-        larger = np.empty((n + 2 * k, n + 2 * k), order="F")
-        larger[:n, :n] = self._cov
         point, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
         new = [new_landmark(self._pose, point, seen, self._has_centres) for seen in observations.values()]
-        G, noise = np.zeros((2 * k, self._head)), []
+        G, noise = np.zeros((2 * len(new), self._head)), []
         for j, (landmark, seen) in enumerate(zip(new, observations.values(), strict=True)):
             rows = slice(2 * j, 2 * j + 2)
             G[rows, :3] = landmark.by_pose
             if seen.sensor is not None:
                 G[rows, self._at[Sensor]] = landmark.by_z @ seen.sensor.jacobian()
             noise.append(landmark.by_z @ seen.cov @ landmark.by_z.T)
-        head_cov = self._symmetric(np.arange(self._head))
-        larger[n:, :n] = G @ np.vstack([head_cov, self._cov[self._head :, : self._head]]).T
-        own = G @ head_cov @ G.T + block_diag(*noise)
-        larger[n:, n:] = 0.5 * (own + own.T)
-        self._cov = larger
+        cross = G @ self._cov[: self._head]
+        own = cross[:, : self._head] @ G.T + block_diag(*noise)
+        self._cov = np.block([[self._cov, cross.T], [cross, 0.5 * (own + own.T)]])
         self._means = np.vstack([self._means, *(landmark.mean for landmark in new)])
         self._centres = np.vstack([self._centres, *(landmark.centre for landmark in new)])
         self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in new)])

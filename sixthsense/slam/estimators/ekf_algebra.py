@@ -1,7 +1,4 @@
-"""The algebra of a filter: expected observations, new landmarks, and symmetric matrices.
-
-A symmetric matrix is kept as its lower triangle in a column-major array.
-"""
+"""The algebra of a filter: expected observations and new landmarks."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import predictions, translations
 from sixthsense.core.landmarks import Observation, initialize_landmark, observed_centre
-from sixthsense.core.se2 import Triple, wrapped
+from sixthsense.core.se2 import Triple
 
 
 class NewLandmark(NamedTuple):
@@ -64,88 +61,3 @@ def _initialized(pose: Pose, observation: Observation, centre: Array) -> tuple[A
     mean, by_pose, by_z = initialize_landmark(pose, observation)
     about, by_mean = translations(mean[None], np.array([observation.is_wall]), -centre[None])
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z
-
-
-@numba.njit(cache=True, error_model="numpy")
-def add(means: Array, walls: NDArray[np.bool_], shift: Array) -> None:
-    """Add a correction (2n,) to the means (n, 2) of landmarks, in place; the angles of walls are wrapped."""
-    for k in range(len(means)):
-        first = means[k, 0] + shift[2 * k]
-        means[k, 0] = wrapped(first) if walls[k] else first
-        means[k, 1] += shift[2 * k + 1]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def propagate(upper: Array, by_head: Array, noise: Array) -> None:
-    """Move the first k parts of a state, in place: Sigma = F Sigma F^T + N with the Jacobian F, `by_head` (k, k).
-
-    `upper` is the transpose of Sigma (n, n). N is `noise` (3, 3) of the pose.
-    """
-    k = len(by_head)
-    moved, column = np.empty((k, k)), np.empty(k)  # F Sigma of the head
-    for j in range(len(upper)):
-        for i in range(k):
-            column[i] = upper[min(i, j), max(i, j)]
-        for i in range(k):
-            total = 0.0
-            for other in range(k):
-                total += by_head[i, other] * column[other]
-            if j < k:
-                moved[i, j] = total
-            else:
-                upper[i, j] = total
-    for i in range(k):
-        for j in range(i, k):
-            total = noise[i, j] if j < 3 else 0.0
-            for other in range(k):
-                total += moved[i, other] * by_head[j, other]
-            upper[i, j] = total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def seen_through(upper: Array, index: NDArray[np.int64], H: Array, noise: Array) -> tuple[Array, Array]:
-    """H Sigma (2m, n), and H Sigma H^T + noise (2m, 2m), where H has the columns `H` (2m, k) at `index` (k,) alone.
-
-    `upper` is the transpose of Sigma (n, n), `noise` (m, 2, 2) of the observations.
-    """
-    rows, n = len(H), len(upper)
-    found, cross, S = columns(upper, index), np.zeros((rows, n)), np.zeros((rows, rows))
-    for a in range(rows):
-        for b in range(len(index)):
-            if H[a, b] != 0.0:
-                for j in range(n):
-                    cross[a, j] += H[a, b] * found[b, j]
-    for a in range(rows):
-        for other in range(rows):
-            S[a, other] = noise[a // 2, a % 2, other % 2] if a // 2 == other // 2 else 0.0
-            for b in range(len(index)):
-                S[a, other] += cross[a, index[b]] * H[other, b]
-    return cross, S
-
-
-@numba.njit(cache=True, error_model="numpy")
-def selected(upper: Array, index: NDArray[np.int64]) -> Array:
-    """(k, k) the rows and columns at `index` (k,), which ascends, of a matrix (n, n) whose transpose is `upper`.
-
-    The result is a transpose, too. What lies below the diagonal of a transpose is undefined.
-    """
-    k = len(index)
-    out = np.empty((k, k))
-    for j in range(k):
-        for i in range(j, k):
-            out[j, i] = upper[index[j], index[i]]
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def columns(upper: Array, index: NDArray[np.int64]) -> Array:
-    """(k, n) the columns at `index` (k,), one a row, of a symmetric matrix (n, n) whose transpose is `upper`."""
-    k, n = len(index), len(upper)
-    out = np.empty((k, n))
-    for j in range(k):
-        i = index[j]
-        for other in range(i):
-            out[j, other] = upper[other, i]
-        for other in range(i, n):
-            out[j, other] = upper[i, other]
-    return out

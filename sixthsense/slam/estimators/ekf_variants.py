@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyr2k
 
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import rotation_generator
-from sixthsense.core.se2 import wrapped
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF
-
-Place = tuple[float, float]
 
 
 class InvariantEKF(EKF):
@@ -34,80 +28,39 @@ class InvariantEKF(EKF):
     _has_centres = True
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
-        before = self._pose.x, self._pose.y
-        (x, y), means, U = _corrected(before, self._means, self._walls, self._centres, shift, self._head)
-        self._pose, self._means = Pose(x, y, self._pose.theta + float(shift[2])), means
-        # Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + U C.
-        W = _transported(self._cov.T, before, U)
-        self._cov = dsyr2k(1.0, U.T, W.T, trans=1, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
+        x, y, theta = self._pose.triple()
+        moved, U = _corrected(np.vstack([[x, y], self._means]), self._walls, self._centres, shift, self._head)
+        self._pose = Pose(float(moved[0, 0]), float(moved[0, 1]), theta + float(shift[2]))
+        self._means = moved[1:]
+        # Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + U C, where C takes theta and the xi_p of the robot.
+        C = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, y], [0.0, 1.0, -x]])
+        cross = C @ self._cov[:3]
+        half = U @ (cross + 0.5 * (cross[:, :3] @ C.T) @ U.T)
+        self._cov += half + half.T
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _corrected(
-    position: tuple[float, float],
-    means: Array,
-    walls: NDArray[np.bool_],
-    centres: Array,
-    shift: Array,
-    head: int,
-) -> tuple[tuple[float, float], Array, Array]:
-    """The robot's position and the means (n, 2) after a correction by `shift` (3 + 2n,), and U (head + 2n, 3).
+def _corrected(places: Array, walls: NDArray[np.bool_], centres: Array, shift: Array, head: int) -> tuple[Array, Array]:
+    """The robot's position and the means of landmarks after a correction by `shift` (3 + 2n,), and U (head + 2n, 3).
 
-    xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17). A wall turns
-    about its centre, and is shifted there. The first column of U holds what a turn by theta adds to the error of a
-    moved position, and b^T J c in the row of a wall's offset, with the change b of its normal and its centre c; the
-    others hold b there.
+    `places` (1 + n, 2) are these before it. xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta)
+    xi_p (TAC 2017, eq. 15-17). A wall turns about its centre, and is shifted there. The first column of U holds what a
+    turn by theta adds to the error of a moved position, and b^T J c in the row of a wall's offset, with the change b of
+    its normal and its centre c; the others hold b there.
     """
-    theta = shift[2]
-    c, s = math.cos(theta), math.sin(theta)
-    along, aside = _left_jacobian(theta)
-    U, moved = np.zeros((head + 2 * len(means), 3)), np.empty(means.shape)
-    x, y = position
-    xi, eta = shift[0] + theta * y, shift[1] - theta * x
-    new = c * x - s * y + along * xi - aside * eta, s * x + c * y + aside * xi + along * eta
-    U[0, 0], U[1, 0] = y - new[1], new[0] - x
-    for k in range(len(means)):
-        a, b = means[k, 0], means[k, 1]
-        da, db = shift[3 + 2 * k], shift[4 + 2 * k]
-        row = head + 2 * k
-        if walls[k]:
-            alpha = wrapped(a + da)
-            moved[k, 0], moved[k, 1] = alpha, b + db
-            nx, ny = math.cos(alpha) - math.cos(a), math.sin(alpha) - math.sin(a)
-            U[row + 1, 0], U[row + 1, 1], U[row + 1, 2] = ny * centres[k, 0] - nx * centres[k, 1], nx, ny
-        else:
-            xi, eta = da + theta * b, db - theta * a
-            moved[k, 0] = c * a - s * b + along * xi - aside * eta
-            moved[k, 1] = s * a + c * b + aside * xi + along * eta
-            U[row, 0], U[row + 1, 0] = b - moved[k, 1], moved[k, 0] - a
-    return new, moved, U
+    theta, added = float(shift[2]), np.delete(shift, 2).reshape(-1, 2)
+    V = np.sinc(0.5 * theta / np.pi) * rotation(0.5 * theta)
+    moved = places @ rotation(theta).T + (added - theta * rotation_generator(places)) @ V.T
+    U, turned = np.zeros((head + 2 * len(walls), 3)), rotation_generator(moved - places)
+    rows, lines = U[head:].reshape(-1, 2, 3), places[1:][walls] + added[1:][walls]
+    U[:2, 0], rows[:, :, 0] = turned[0], turned[1:]
+    b = _normals(lines[:, 0]) - _normals(places[1:][walls, 0])
+    rows[walls, 0, 0], rows[walls, 1, 0], rows[walls, 1, 1:] = 0.0, (b * rotation_generator(centres[walls])).sum(1), b
+    moved[1:][walls] = np.column_stack([wrap_angle(lines[:, 0]), lines[:, 1]])
+    return moved, U
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _left_jacobian(theta: float) -> tuple[float, float]:
-    """The first column of V (2, 2) of SE(2), a rotation times a factor: exp(xi) translates by V xi_p."""
-    half = 0.5 * theta
-    factor = math.sin(half) / half if half != 0.0 else 1.0
-    return factor * math.cos(half), factor * math.sin(half)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _transported(upper: Array, position: Place, U: Array) -> Array:
-    """W (n, 3) with Sigma + U W^T + W U^T = T Sigma T^T, where T = I + U C; `upper` (n, n) is Sigma's transpose.
-
-    C takes theta and the xi_p of the robot at a position from the errors of its pose.
-    """
-    x, y = position
-    W, own = np.empty(U.shape), np.empty((3, 3))
-    for i in range(len(U)):
-        ex, ey, theta = upper[0, i], upper[min(i, 1), max(i, 1)], upper[min(i, 2), max(i, 2)]
-        W[i, 0], W[i, 1], W[i, 2] = theta, ex + y * theta, ey - x * theta
-    for k in range(3):  # C Sigma C^T
-        own[0, k], own[1, k], own[2, k] = W[2, k], W[0, k] + y * W[2, k], W[1, k] - x * W[2, k]
-    for i in range(len(U)):
-        for k in range(3):
-            W[i, k] += 0.5 * (U[i, 0] * own[0, k] + U[i, 1] * own[1, k] + U[i, 2] * own[2, k])
-    return W
+def _normals(angles: Array) -> Array:
+    return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 class AnchoredEKF(EKF):

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance, chi_square_quantile
@@ -49,6 +50,7 @@ from sixthsense.slam.estimators.isam2_factors import (
 from sixthsense.slam.estimators.isam2_graph import Chain, Graph, Kind, Step
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
+_MOST_SOLUTIONS = 20  # after links were added or removed
 
 
 class _Seen(NamedTuple):
@@ -105,7 +107,7 @@ class ISAM2:
         key = self._graph.insert(WHEELS if kind is Wheels else SENSOR, Kind.PARAMETERS, 0, prior.values.array())
         self._graph.add(gtsam.PriorFactorVector(key, prior.values.array(), noise_of(floored(prior.cov))))
         if kind is Wheels:
-            self._cov = _diagonal([self._head_cov(), prior.cov])
+            self._cov = block_diag(self._head_cov(), prior.cov)
         self._parameters[kind] = prior
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
@@ -150,7 +152,9 @@ class ISAM2:
             self._observed[factor] = _Seen(self._poses - 1, i, is_first)
         if observations:
             self._solve()
-            self._graph.relinearize(self._last, guess)
+            self._graph.settle(
+                self._last, self._config.relinearize_threshold, self._config.iterations - 1, to_pose2(guess)
+            )
             self._solved()
             if self._poses % _REJECT_PERIOD == 0:
                 self._reject_outliers()
@@ -175,8 +179,7 @@ class ISAM2:
         for i in ids:
             self._links[i]  # KeyError before any is removed
         if ids:
-            self._solve(self._dropped(ids))
-            self._converge()
+            self._remove(ids)
 
     def take_out(self, updates: Sequence[int]) -> list[int]:
         """Take the poses of updates out of the graph, and solve; the ids of their links, which are lost."""
@@ -226,12 +229,12 @@ class ISAM2:
         blocks = [axes[row[i]] if self._graph.is_wall(i) else np.eye(2) for i in ids]
         # GTSAM answers in the order of the query, each variable in its own tangent.
         if self._is_solved:
-            to_axes = _diagonal([self._to_world(), *blocks])
+            to_axes = block_diag(self._to_world(), *blocks)
             joint = to_axes @ self._graph.covariance([*self._head, *keys]) @ to_axes.T
             joint[: len(cov), : len(cov)] = cov
         else:  # landmarks of an earlier run, and the start
-            to_axes = _diagonal(blocks)
-            joint = _diagonal([cov, to_axes @ self._graph.covariance(keys) @ to_axes.T])
+            to_axes = block_diag(*blocks)
+            joint = block_diag(cov, to_axes @ self._graph.covariance(keys) @ to_axes.T)
         return self._propagated(0.5 * (joint + joint.T))
 
     def trajectory(self) -> Array:
@@ -320,7 +323,8 @@ class ISAM2:
                 self._parameters[kind] = replace(self._parameters[kind], values=values)
 
     def _converge(self) -> None:
-        self._graph.converge(self._last)
+        """Solve again until the last pose stays: a loop that closes moves all its poses, and weights of losses."""
+        self._graph.settle(self._last, 0.1 * self._config.relinearize_threshold, _MOST_SOLUTIONS)
         self._solved()
 
     def _dropped(self, factors: Collection[int]) -> list[int]:
@@ -330,11 +334,10 @@ class ISAM2:
             self._observed.pop(number, None)
         return sorted(set(factors))
 
-    def _remove(self, factors: list[int]) -> None:
-        """Take factors of observations out of the graph and solve."""
+    def _remove(self, factors: Collection[int]) -> None:
+        """Take factors of observations or links out of the graph, and solve."""
         self._solve(self._dropped(factors))
-        self._graph.iterate(self._config.iterations - 1)
-        self._solved()
+        self._converge()
 
     def _reject_outliers(self) -> None:
         """Remove the factors of matches that contradict all other factors, the largest residual first.
@@ -387,7 +390,7 @@ class ISAM2:
     def _to_world(self) -> Array:
         """From GTSAM's tangents of these variables to the axes of `_head_cov`."""
         turn = Pose(theta=self._pose.theta).adjoint()
-        return _diagonal([turn, np.eye(PARAMETERS)]) if Wheels in self._parameters else turn
+        return block_diag(turn, np.eye(PARAMETERS)) if Wheels in self._parameters else turn
 
     def _propagated(self, joint: Array) -> Array:
         """Joint covariance (3 + 2k, 3 + 2k) of the present pose and of k landmarks; a copy.
@@ -419,14 +422,3 @@ class ISAM2:
             by_poses = np.hstack([-motion.inverse().adjoint(), np.eye(3)])  # each pose errs in its own axes
             cov = by_poses @ joint @ by_poses.T
         return to_first.inverse().then(Odometry(motion, 0.5 * (cov + cov.T))).then(to_second)
-
-
-def _diagonal(blocks: Sequence[Array]) -> Array:
-    """The matrix with these blocks (p, q) on its diagonal; scipy's asks for other array libraries at each block."""
-    out = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
-    row = column = 0
-    for block in blocks:
-        height, width = block.shape
-        out[row : row + height, column : column + width] = block
-        row, column = row + height, column + width
-    return out

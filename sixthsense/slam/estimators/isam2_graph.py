@@ -22,8 +22,6 @@ from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_factors import to_pose2
 
-_MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
-
 
 class Kind(Enum):
     """What a variable of the graph is."""
@@ -97,29 +95,17 @@ class Graph:
         except RuntimeError:
             self._switch_to_qr()  # by now GTSAM has added the new factors to its graph and removed the old ones
 
-    def iterate(self, count: int = 1) -> None:
-        """Solve again from the present solution."""
-        for _ in range(count):
+    def settle(self, key: int, least: float, most: int, before: gtsam.Pose2 | None = None) -> None:
+        """Solve again, at `most` so often, until the pose with this key moves by no more than `least`, m and rad.
+
+        `before` is the pose before the last solution; None: that is unknown.
+        """
+        for _ in range(most):
+            pose = self.isam.calculateEstimatePose2(key)
+            if before is not None and np.abs(before.localCoordinates(pose)).max() <= least:
+                return
             self.solve()
-
-    def converge(self, key: int) -> None:
-        """Iterate until the pose with this key stays: a loop that closes moves all its poses, and weights of losses."""
-        pose, least = self.isam.calculateEstimatePose2(key), 0.1 * self._config.relinearize_threshold
-        for _ in range(_MAX_ITERATIONS):
-            self.iterate()
-            before, pose = pose, self.isam.calculateEstimatePose2(key)
-            if np.abs(before.localCoordinates(pose)).max() <= least:
-                return
-
-    def relinearize(self, key: int, guess: Pose) -> None:
-        """Iterate while the pose with this key, linearized at `guess`, is farther than the threshold from there."""
-        linearized = to_pose2(guess)
-        for _ in range(self._config.iterations - 1):
-            solved = self.isam.calculateEstimatePose2(key)
-            if np.abs(linearized.localCoordinates(solved)).max() <= self._config.relinearize_threshold:
-                return
-            self.iterate()
-            linearized = solved
+            before = pose
 
     def covariance(self, keys: Sequence[int]) -> Array:
         """Joint marginal covariance of variables in the order asked, each in its own tangent."""
@@ -153,7 +139,8 @@ class Graph:
         factors, values = self.isam.getFactorsUnsafe(), gtsam.Values(self.isam.getLinearizationPoint())
         self.isam = gtsam.ISAM2(solver_parameters(self._config, "QR"))
         self.isam.update(factors, values)
-        self.iterate(self._config.iterations)
+        for _ in range(self._config.iterations):
+            self.solve()
 
 
 def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "QR"] = "CHOLESKY") -> gtsam.ISAM2Params:
@@ -190,8 +177,6 @@ class Chain:
         """to each pose in the graph but the first"""
         self._fixed: dict[int, tuple[int, Odometry]] = {}
         """the pose that each pose which was taken out is fixed to, and where it is from there"""
-        self._rows = np.zeros((0, 2), np.int64), np.zeros((0, 3))
-        """the same in arrays: pairs of poses, and motions"""
 
     def take_out(self, poses: Sequence[int], poses_at: Callable[[Sequence[int]], Array]) -> tuple[list[int], list[int]]:
         """Take solved poses out; the factors of motions that are gone, and the poses that need a new one.
@@ -211,8 +196,6 @@ class Chain:
             self.steps[pose + 1] = Step(step.before, step.motion.then(after.motion), -1)
             # The pose has at most the uncertainty of the motion from its anchor.
             self._fixed[pose] = step.before, Odometry(Pose.from_array(relative), step.motion.cov)
-        pairs = np.array([(pose, anchor) for pose, (anchor, _) in self._fixed.items()], np.int64).reshape(-1, 2)
-        self._rows = pairs, np.array([motion.motion.triple() for _, motion in self._fixed.values()]).reshape(-1, 3)
         return [factor for factor in factors if factor >= 0], [pose + 1 for pose in poses if pose + 1 in self.steps]
 
     def anchored(self, pose: int) -> tuple[int, Odometry]:
@@ -230,7 +213,8 @@ class Chain:
         """(K, 3) all poses, of those (m, 3) that are in the graph."""
         if not self._fixed:
             return kept
-        (gone, anchors), relative = self._rows[0].T, self._rows[1]
+        gone, anchors = list(self._fixed), [anchor for anchor, _ in self._fixed.values()]
+        relative = np.array([motion.motion.triple() for _, motion in self._fixed.values()])
         poses = np.empty((len(kept) + len(gone), 3))
         is_kept = np.ones(len(poses), dtype=np.bool_)
         is_kept[gone] = False

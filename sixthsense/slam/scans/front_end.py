@@ -24,9 +24,8 @@ from sixthsense.core.se2 import (
     move_covariance,
     triple,
 )
-from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
-from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, is_due
+from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, LoopClosureCounts, is_due
 from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import LINKS, REACH_M, ScanGraph
@@ -54,27 +53,17 @@ _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and 
 class ScanFrontEnd:
     """Aligns every scan with keyframes, and gives the estimator links between keyframes."""
 
-    def __init__(
-        self,
-        config: Config,
-        estimator: Smoother,
-        start: Pose,
-        motion: Motion,
-        clock: Clock,
-        is_guide: bool = False,
-    ) -> None:
-        """Begin at `start`, `T_world_robot`; `is_guide` is whether only what it proposes is used, as it comes."""
+    def __init__(self, config: Config, estimator: Smoother, start: Pose, motion: Motion, clock: Clock) -> None:
+        """Begin at `start`, `T_world_robot`."""
         self._sources, self._clock = motion, clock
         self._config, self._estimator = config, estimator
         self.pose = start
         """`T_world_robot` of the last scan, and the odometry since"""
-        self._has_final_pass = config.scans.final_pass and not is_guide
+        self._has_final_pass = config.scans.final_pass
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
         self.loop_closures = LoopClosures(config.scans, self._graph, place_search_of(config))
         """the search for old places, with what it has found"""
-        self.counts = self.loop_closures.counts if config.scans.loop_closures else None
-        """what the search has come to so far; None where it is switched off"""
         self._mount = Pose().triple()
         """`T_robot_laser`"""
         self._T_key_world = Pose()
@@ -94,6 +83,11 @@ class ScanFrontEnd:
         """Motion since the last keyframe, by the last scan and the odometry since."""
         motion = self._T_key_world @ self.pose if self._store.count else self._since.motion
         return Odometry(motion, self._for_estimator().cov)
+
+    @property
+    def counts(self) -> LoopClosureCounts | None:
+        """What the search has come to so far; None where it is switched off."""
+        return self.loop_closures.counts if self._config.scans.loop_closures else None
 
     @property
     def newest(self) -> int:
@@ -128,11 +122,10 @@ class ScanFrontEnd:
             self._estimator.update({})
             key = self._kept(known, tracked)
         with self._clock("link"):
-            self._graph.link(key, self._graph.near_linked(key), self.loop_closures.closings.latest, is_new=True)
+            self._graph.link(key, self._graph.near_linked(key), self.loop_closures.latest, is_new=True)
         if self._config.scans.loop_closures:
             with self._clock("loop_closure"):
                 self.loop_closures.look(key)
-            self.counts = self.loop_closures.counts
         estimate = self._reported(self._estimator.estimate())
         self.pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = LastScan(self._graph.poses[key].copy(), Pose().triple(), self._last.motion)
@@ -161,10 +154,11 @@ class ScanFrontEnd:
             cov += move_covariance(triple(back), own[a]) + own[b]
         return found
 
-    def proposal(self) -> Proposal:
-        """Where the robot is at the newest keyframe, relative to the others."""
+    def proposal(self) -> tuple[Array, Array]:
+        """(K, 3) poses of all keyframes in the frame of the newest one, robot's frames, and (K, 3) their sigmas."""
         poses = compose(self._graph.poses, np.array(inverse(self._mount)))
-        return Proposal(between(poses[-1], poses), *self._graph.sigmas(self.newest))
+        position, heading = self._graph.sigmas(self.newest)
+        return between(poses[-1], poses), np.column_stack([position, position, heading])
 
     def _tracked(self, scan: Scan) -> tuple[Expected | None, Tracked | None]:
         """Track a scan against recent and linked keyframes; what was expected of it, and where it is found.
@@ -237,7 +231,8 @@ class ScanFrontEnd:
             graph.first = key
         elif tracked is None and key:
             self._lost.add(key)
-        graph.add(compose(self._estimator.poses_at([key])[0], mount) if tracked is None else tracked.pose, mount)
+        graph.mount = mount
+        graph.add(compose(self._estimator.poses_at([key])[0], mount) if tracked is None else tracked.pose)
         if known is not None:
             cov = inverse_covariance(known.prior.information) if tracked is None else tracked.cov
             if tracked is not None and tracked.has_slipped:

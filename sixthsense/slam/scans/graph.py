@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.links import NEAR_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import Usual
+from sixthsense.slam.thinning import OLD_AGE, PERIOD
 
 Keys = NDArray[np.int64]
 Rows = NDArray[Any]
@@ -25,14 +26,10 @@ Rows = NDArray[Any]
 
 LINKS = 4
 """links of a keyframe to those before it, and to old ones at most"""
-OLD_AGE = 25
-"""keyframes; nearer ones are of the same pass"""
 REACH_M = 4.0
 """between the middles of what two scans see whose views overlap, and between poses from which they see much the same"""
 M_PER_RAD = 0.5
 """a turn as a distance"""
-PERIOD = 10
-"""keyframes between two times that all poses are read, and that leave at a time: each costs a solution"""
 LOSS = 4.0
 """scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)"""
 _CORRELATION = 0.0625  # of two links of one scan, by the NEES of drives in rooms
@@ -46,50 +43,69 @@ KEYFRAME = np.dtype([("pose", float, 3), ("step", float, 2), ("travelled_m", flo
 # `id` is the estimator's, `ends` are target and source, `pose` is of the source's laser in the frame of the target's,
 # `cov` of its error as the estimator was given it, axes of the target's laser, and `weight` what its squared residual
 # counts beside one with the covariance by its returns alone. `is_old` is whether the target is of another pass,
-# `closure` the number of the loop closure that it follows from, -1 for none, `closes` whether it is one of the links
-# that closed that loop, and `stands` whether the estimator has it still.
+# `closure` the number of the loop closure that it follows from, -1 for none, and `closes` whether it is one of the
+# links that closed that loop.
 LINK = np.dtype(
     [
         *(("id", np.int64), ("ends", np.int64, 2), ("pose", float, 3), ("cov", float, (3, 3)), ("weight", float)),
-        *(("is_old", bool), ("closure", np.int64), ("closes", bool), ("stands", bool)),
+        *(("is_old", bool), ("closure", np.int64), ("closes", bool)),
     ]
 )
 
 
-class PlacedScans(Protocol):
-    """Scans with their poses."""
+class PlacedScans:
+    """Scans with the poses of their lasers, in the order of a way."""
+
+    def __init__(self, store: ScanStore) -> None:
+        """Begin empty."""
+        self.store = store
+        """the scans, a row each"""
+        self._keyframes = np.zeros(0, KEYFRAME)
 
     @property
-    def store(self) -> ScanStore:
-        """The scans, a row each."""
+    def count(self) -> int:
+        """Number of keyframes."""
+        return len(self._keyframes)
 
     @property
     def poses(self) -> Array:
-        """(K, 3) of their lasers."""
+        """(K, 3) `T_world_laser` of the keyframes; a view."""
+        return np.asarray(self._keyframes["pose"])
 
     @property
     def travelled_m(self) -> Array:
-        """(K,) way to each."""
+        """(K,) way to each keyframe; a view."""
+        return np.asarray(self._keyframes["travelled_m"])
 
     @property
     def usual_agreement(self) -> float:
         """Share of the returns, of those that are judged, that scans of one place usually agree in."""
+        return 1.0
+
+    def add(self, pose: Array) -> None:
+        """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
+        self._keyframes = np.append(self._keyframes, np.zeros(1, KEYFRAME))
+        self._keyframes["pose"][-1] = pose
+
+    def moved(self, travel_m: float, position_m2: float = 0.0, heading_rad2: float = 0.0) -> None:
+        """Record the way to the newest keyframe, and the variances of position and heading of the motion to it."""
+        before, row = self._keyframes[-2:]
+        row["travelled_m"], row["step"] = before["travelled_m"] + travel_m, (position_m2, heading_rad2)
 
 
-class ScanGraph:
+class ScanGraph(PlacedScans):
     """Keyframes with their poses as the estimator has them, and the links that it was given."""
 
     def __init__(self, store: ScanStore, estimator: Smoother, sigma_m: float) -> None:
         """Begin empty; `sigma_m` is the least sigma of a return."""
-        self.store, self.estimator = store, estimator
-        self._sigma_m = sigma_m
-        self._mount = np.zeros(3)
+        super().__init__(store)
+        self.estimator, self._sigma_m = estimator, sigma_m
+        self.mount = np.zeros(3)
         """(3,) `T_robot_laser`"""
-        self._keyframes, self._links = np.zeros(64, KEYFRAME), np.zeros(256, LINK)
-        self._old: NDArray[np.int64] | None = None
-        """ends of the links to old keyframes, once they were asked for since links changed"""
-        self.count = self._link_count = 0
-        """number of keyframes, and of links so far"""
+        self.links: Rows = np.zeros(0, LINK)
+        """those that the estimator has, rows of `LINK`"""
+        self._old = np.zeros((0, 2), np.int64)
+        """(n, 2) ends of the links to old keyframes"""
         self.usual = Usual(0.0, 0.5)
         """what scans lately had where they were tracked"""
         self.first = 0
@@ -100,47 +116,18 @@ class ScanGraph:
         """the variance factor when all poses were read"""
 
     @property
-    def poses(self) -> Array:
-        """(K, 3) `T_world_laser` of the keyframes; a view."""
-        return np.asarray(self._keyframes["pose"][: self.count])
-
-    @property
-    def travelled_m(self) -> Array:
-        """(K,) way to each keyframe; a view."""
-        return np.asarray(self._keyframes["travelled_m"][: self.count])
-
-    @property
     def is_kept(self) -> NDArray[np.bool_]:
         """(K,) which keyframes are in the estimator's graph; the poses of others follow their neighbours'."""
-        return ~self._keyframes["is_out"][: self.count]
-
-    @property
-    def links(self) -> Rows:
-        """The links that the estimator has, rows of `LINK`."""
-        found = self._links[: self._link_count]
-        return np.asarray(found[found["stands"]])
+        return ~self._keyframes["is_out"]
 
     @property
     def usual_agreement(self) -> float:
         """Share of the returns, of those that are judged, that scans lately agreed in where they were tracked."""
         return 1.0 - self.usual.contradicted
 
-    def add(self, pose: Array, mount: Array) -> None:
-        """Add the newest keyframe at `pose` (3,), `T_world_laser`, whose `mount` (3,) is `T_robot_laser`."""
-        k = self.count
-        if k == len(self._keyframes):
-            self._keyframes = _doubled(self._keyframes)
-        self._keyframes["pose"][k], self._mount = pose, mount
-        self.count = k + 1
-
-    def moved(self, travel_m: float, position_m2: float, heading_rad2: float) -> None:
-        """Record the way to the newest keyframe, and the variances of position and heading of the motion to it."""
-        before, row = self._keyframes[self.count - 2 : self.count]
-        row["travelled_m"], row["step"] = before["travelled_m"] + travel_m, (position_m2, heading_rad2)
-
     def refresh(self) -> None:
         """Read all poses from the estimator."""
-        self.poses[:] = compose(self.estimator.trajectory(), self._mount)
+        self.poses[:] = compose(self.estimator.trajectory(), self.mount)
         self._refreshed, self._factor = self.count, self._fitted_factor()
 
     def link(self, key: int, old: Keys, closure: int, is_new: bool = False) -> None:
@@ -164,9 +151,7 @@ class ScanGraph:
         """
         if not len(is_old):
             return
-        standing = self._links["stands"][: self._link_count]
-        counts = np.bincount(self._links["ends"][: self._link_count, 1][standing], minlength=self.count)
-        before = counts[found.sources]
+        before = np.bincount(self.links["ends"][:, 1], minlength=self.count)[found.sources]
         after = before + np.bincount(found.sources)[found.sources]
         rows = np.zeros(len(is_old), LINK)
         rows["ends"] = np.column_stack([found.targets, found.sources])
@@ -174,7 +159,6 @@ class ScanGraph:
         rows["weight"] = (_independent(after) - _independent(before)) / ((after - before) * self.factor())
         rows["cov"] = covariances(found.hessians, self._sigma_m) / rows["weight"][:, None, None]
         rows["is_old"], rows["closure"], rows["closes"] = is_old, np.where(is_old, closure, -1), closes
-        rows["stands"] = True
         given = self.robot_links(rows)
         rows["id"] = self.estimator.link(
             [
@@ -184,36 +168,33 @@ class ScanGraph:
                 )
             ]
         )
-        while self._link_count + len(rows) > len(self._links):
-            self._links = _doubled(self._links)
-        self._links[self._link_count : self._link_count + len(rows)] = rows
-        self._link_count, self._old = self._link_count + len(rows), None
+        self._set(np.concatenate([self.links, rows]))
         if closes or self.count - self._refreshed >= PERIOD:
             self.refresh()
             return
         # The newest poses have moved, and those that links lead to.
         keys = sorted({*range(max(0, self.count - LINKS - 1), self.count), *found.targets[is_old].tolist()})
-        self.poses[keys] = compose(self.estimator.poses_at(keys), self._mount)
+        self.poses[keys] = compose(self.estimator.poses_at(keys), self.mount)
 
-    def remove(self, links: Rows) -> None:
-        """Take links back."""
-        self.estimator.unlink(links["id"].tolist())
-        self._drop(links["id"])
+    def remove(self, which: NDArray[np.bool_]) -> None:
+        """Take some of the links back."""
+        self.estimator.unlink(self.links["id"][which].tolist())
+        self._set(self.links[~which])
+        self.refresh()
 
     def take_out(self, keys: list[int]) -> None:
         """Take keyframes out of the estimator's graph, with their links."""
         lost = self.estimator.take_out(keys)
         self._keyframes["is_out"][keys] = True
-        self._drop(np.array(lost, dtype=np.int64))
-
-    def _drop(self, ids: NDArray[np.int64]) -> None:
-        self._links["stands"] &= ~np.isin(self._links["id"], ids)
-        self._old = None
+        self._set(self.links[~np.isin(self.links["id"], lost)])
         self.refresh()
+
+    def _set(self, links: Rows) -> None:
+        self.links, self._old = links, np.ascontiguousarray(links["ends"][links["is_old"]])
 
     def robot_links(self, links: Rows) -> PoseLinks:
         """Links, between poses of the robot."""
-        mount, poses = triple(self._mount), links["pose"]
+        mount, poses = triple(self.mount), links["pose"]
         motions = [conjugate(mount, triple(pose)) for pose in poses]
         # The covariance of a link is in the axes of its target.
         covs = [
@@ -256,19 +237,12 @@ class ScanGraph:
 
     def linked_old(self, first: int, last: int) -> Keys:
         """Old keyframes that those from `first` to `last` are linked to."""
-        ends = self._old_ends()
+        ends = self._old
         return np.asarray(ends[(ends[:, 1] >= first) & (ends[:, 1] <= last), 0])
 
     def old_links(self) -> NDArray[np.int64]:
         """(K,) number of links of each keyframe to old ones."""
-        return np.bincount(self._old_ends()[:, 1], minlength=self.count)
-
-    def _old_ends(self) -> NDArray[np.int64]:
-        """(n, 2) ends of the links to old keyframes."""
-        if self._old is None:
-            links = self._links[: self._link_count]
-            self._old = np.ascontiguousarray(links["ends"][links["stands"] & links["is_old"]])
-        return self._old
+        return np.bincount(self._old[:, 1], minlength=self.count)
 
     def near_linked(self, key: int) -> Keys:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
@@ -315,8 +289,3 @@ def overlapping(scans: PlacedScans, key: int, pose: Array, candidates: NDArray[n
 def _independent(links: Keys) -> Array:
     """(n,) how many independent links so many of one scan count as."""
     return np.asarray(links / (1.0 + (links - 1.0) * _CORRELATION))
-
-
-def _doubled(rows: Rows) -> Rows:
-    """The same rows with room for as many more."""
-    return np.concatenate([rows, np.zeros_like(rows)])

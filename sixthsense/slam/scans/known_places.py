@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.scans.graph import REACH_M, PlacedScans
-from sixthsense.slam.scans.places import (
-    BINS,
-    NEAR_M,
-    Pyramid,
-    appearance,
-    pyramid,
-    surfaces,
-)
+from sixthsense.slam.scans.places import BINS, NEAR_M, Pyramid, appearance, pyramid, surfaces
 
 RECENT_M = 6.0
 """travel of the submap that is searched for"""

@@ -3,7 +3,8 @@
 How uncertain the newest keyframe is relative to an old one, along the graph, decides what is done. One that is certain
 is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass, for all places that look
 alike. One is believed if the scans of the last metres fit it clearly better than any other, and if another vote some
-metres later, by other scans, agrees. Until then the robot drives on.
+metres later, by other scans, agrees. Until then the robot drives on. A loop closure that later ones contradict is taken
+back.
 """
 
 from __future__ import annotations
@@ -17,36 +18,47 @@ from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.slam.scans.closings import Closings, Thinning
-from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, OLD_AGE, REACH_M, ScanGraph, overlapping
+from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, ScanGraph, overlapping
 from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import NEW_M, ExpectedPoses, PlaceQuery, PlaceSearch, Votes, best_place
+from sixthsense.slam.thinning import OLD_AGE, Thinning
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
+_CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 
 
 class LoopClosures:
-    """Finds old places, and links keyframes to them."""
+    """Finds old places, and links keyframes to them.
+
+    A link to an old keyframe belongs to the last loop closure, which made its pose known.
+    """
 
     def __init__(self, config: ScansConfig, graph: ScanGraph, search: PlaceSearch) -> None:
-        self._graph, self._search = graph, search
-        self.closings = Closings(graph)
-        self._thinning = Thinning(graph)
+        self._graph, self._search, self._thinning = graph, search, Thinning()
         self._min_score = config.min_score
         self._places = KnownPlaces(graph)
         self._votes = Votes(graph)
         self._looked_m = self._search_from_m = 0.0
         self._refused = 0
         """places that looked right, and were refused"""
+        self._accepted = 0
+        """loop closures accepted so far"""
+        self._standing: list[int] = []
+        """numbers of those that were not taken back"""
 
     @property
     def counts(self) -> LoopClosureCounts:
         """What the search has come to."""
-        undone = self.closings.undone
-        return LoopClosureCounts(self.closings.accepted - undone, self._refused, undone)
+        found = len(self._standing)
+        return LoopClosureCounts(found, self._refused, self._accepted - found)
+
+    @property
+    def latest(self) -> int:
+        """Number of the last loop closure that stands; -1 for none."""
+        return self._standing[-1] if self._standing else -1
 
     def moved(self, cov: Array, is_carried: bool) -> None:
         """Record the motion to the newest keyframe; `cov` (3, 3) is of its error, by scans and odometry."""
@@ -61,11 +73,19 @@ class LoopClosures:
 
     def look(self, key: int) -> None:
         """From time to time, link the newest keyframe to old ones around it, and look for a loop closure."""
-        travelled_m = float(self._graph.travelled_m[key])
+        graph = self._graph
+        travelled_m = float(graph.travelled_m[key])
         if travelled_m - self._looked_m >= _PERIOD_M:
             self._looked_m = travelled_m
             self._look_around(key)
-        self._thinning.look(key)
+        old_links = graph.old_links()
+        # New territory stays bound to the keyframes before it, and a loop to those that closed it.
+        leaving = self._thinning.leaving(
+            graph.poses, graph.is_kept, lambda k: bool(old_links[k : k + LINKS + 1].min() < 2)
+        )
+        if leaving:
+            closing = graph.links["ends"][graph.links["closes"]].ravel()
+            graph.take_out(np.setdiff1d(leaving, closing).tolist())
 
     def _look_around(self, key: int) -> None:
         graph = self._graph
@@ -75,7 +95,7 @@ class LoopClosures:
         sigma_m, sigma_rad = graph.sigmas(key)
         is_certain = (sigma_m[old] < _CERTAIN_M) & (sigma_rad[old] < _CERTAIN_RAD)
         certain = overlapping(graph, key, graph.poses[key], old[is_certain])[:LINKS]
-        graph.link(key, np.setdiff1d(certain, graph.linked_old(key, key)), self.closings.latest)
+        graph.link(key, np.setdiff1d(certain, graph.linked_old(key, key)), self.latest)
         if graph.travelled_m[key] >= self._search_from_m:
             self._search_uncertain(key, old[~is_certain], sigma_m, sigma_rad)
 
@@ -96,10 +116,26 @@ class LoopClosures:
             self._search_from_m = float(travelled_m[key]) + NEW_M
             return
         if agreeing := self._votes.agreeing(key, found.evidence):
-            self._close(Alignments.joined([vote.links for vote in agreeing]))
+            links = Alignments.joined([vote.links for vote in agreeing])
+            _, first = np.unique(np.column_stack([links.targets, links.sources]), axis=0, return_index=True)
+            self.close(links.rows(np.sort(first)))  # each pair once
 
-    def _close(self, links: Alignments) -> None:
-        """Close a loop with the links of a place, each pair once."""
-        _, first = np.unique(np.column_stack([links.targets, links.sources]), axis=0, return_index=True)
-        self.closings.close(links.rows(np.sort(first)))
+    def close(self, links: Alignments) -> None:
+        """Close a loop with the links of a place.
+
+        A loop closure that contradicts the graph, in the median of its links, is taken back, with all links that
+        followed from it.
+        """
+        graph = self._graph
+        self._standing.append(self._accepted)
+        self._accepted += 1
+        graph.give(links, np.ones(len(links.targets), dtype=np.bool_), self._standing[-1], closes=True)
+        while self._standing:
+            own = graph.links[graph.links["closes"]]
+            squares = graph.squares(own)
+            medians = [float(np.median(squares[own["closure"] == number])) for number in self._standing]
+            if max(medians) <= _CONTRADICTION:
+                break
+            undone = self._standing.pop(int(np.argmax(medians)))
+            graph.remove(graph.links["closure"] == undone)
         self._places.forget()

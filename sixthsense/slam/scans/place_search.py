@@ -126,43 +126,38 @@ class PlaceSearch(Protocol):
 class BranchAndBound:
     """What was seen on the last metres, searched for in the likeliest submaps."""
 
-    def propose(self, query: PlaceQuery) -> Sequence[Candidate]:
-        """Propose places that explain enough of what was seen."""
-        return proposed(query)
+    def propose(self, query: PlaceQuery, least_points: int = LEAST_POINTS) -> Sequence[Candidate]:
+        """Propose places that explain enough of what was seen, of at least so many points."""
+        scans, key, places, expected, min_score = query
+        keys = of_last_metres(scans.travelled_m, key)
+        near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
+        if len(near) < least_points:
+            return []
+        rows = np.linspace(0, len(near) - 1, min(len(near), MOST_POINTS)).astype(np.int64)
+        points, looks = np.ascontiguousarray(near[rows, :2]), list[tuple[int, Pyramid, Window]]()
+        for place in likeliest(places, expected, appearance(near)):
+            window = expected.window(place)
+            if window is not None:
+                looks.append((place, places.submap(place, range_m), window))
+        top = least = min_score * scans.usual_agreement
+        for _, submap, window in looks:
+            best = peaks(submap, points, window, top, PLACE, most=1)
+            top = float(best[0, 0]) if len(best) else top
+        # What is worth a comparison is known only now, and most searches stop at this test.
+        if top <= least:
+            return []
+        found: list[Candidate] = []
+        for place, submap, window in looks:
+            best, known = peaks(submap, points, window, _AS_GOOD * top, PLACE), places.surroundings(place)
+            placed = compose(places.anchors[place], best[:, 1:]).reshape(-1, 3)
+            found += [Candidate(pose, score, known) for pose, score in zip(placed, best[:, 0].tolist(), strict=True)]
+        return distinct(found)
 
 
 def place_search_of(config: Config) -> PlaceSearch:
     """The configured place search."""
     found: PlaceSearch = part_of(config, PLACE_SEARCHES).make()
     return found
-
-
-def proposed(query: PlaceQuery, least_points: int = LEAST_POINTS) -> list[Candidate]:
-    """Different places where what was seen on the last metres up to the newest scan may be, the best score first."""
-    scans, key, places, expected, min_score = query
-    keys = of_last_metres(scans.travelled_m, key)
-    near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
-    if len(near) < least_points:
-        return []
-    rows = np.linspace(0, len(near) - 1, min(len(near), MOST_POINTS)).astype(np.int64)
-    points, looks = np.ascontiguousarray(near[rows, :2]), list[tuple[int, Pyramid, Window]]()
-    for place in likeliest(places, expected, appearance(near)):
-        window = expected.window(place)
-        if window is not None:
-            looks.append((place, places.submap(place, range_m), window))
-    top = least = min_score * scans.usual_agreement
-    for _, submap, window in looks:
-        best = peaks(submap, points, window, top, PLACE, most=1)
-        top = float(best[0, 0]) if len(best) else top
-    # What is worth a comparison is known only now, and most searches stop at this test.
-    if top <= least:
-        return []
-    found: list[Candidate] = []
-    for place, submap, window in looks:
-        best, known = peaks(submap, points, window, _AS_GOOD * top, PLACE), places.surroundings(place)
-        placed = compose(places.anchors[place], best[:, 1:]).reshape(-1, 3)
-        found += [Candidate(pose, score, known) for pose, score in zip(placed, best[:, 0].tolist(), strict=True)]
-    return distinct(found)
 
 
 def likeliest(places: KnownPlaces, expected: ExpectedPoses, look: Array) -> list[int]:

@@ -65,9 +65,3 @@ def test_a_name_that_is_misread_in_every_picture_moves_neither_robot_nor_landmar
     assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks)
     drive.look(START, {3: 3})
     assert drive.associator.culled == 0
-
-
-def test_without_a_gate_no_look_contradicts_the_map():
-    drive = that_knows_all(probability=1.0)
-    found = drive.look(START, {9: 5, 12: 12})
-    assert found.discarded == 0 and found.slip is None

@@ -8,7 +8,7 @@ import pytest
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation, line_point
-from sixthsense.slam.association.observed import Distances, Observed, collinear_pairs, ends, joined
+from sixthsense.slam.association.observed import Distances, Observed, ends, joined
 from sixthsense.slam.association.records import Record, less_certain, unit_cov
 from sixthsense.slam.estimators.base import Estimate
 
@@ -81,16 +81,6 @@ def test_the_bound_of_a_sigma_is_that_of_the_middle_seen_with_the_errors_of_the_
             across = np.array([-lever, 1.0])  # of its middle, by alpha and d
             own, middle = math.sqrt(across @ one.cov @ across), line_point(one.z, lever)
         assert found == pytest.approx(own + 0.05 * math.hypot(*middle) + math.sqrt(0.13))
-
-
-def test_walls_may_be_one_if_one_of_them_is_recent_and_they_lie_in_line_without_a_gap():
-    walls = np.array([[0.7, 1.9], [0.7, 1.85], [0.7, 2.5], [0.7, 1.92], [1.0, 1.9]])
-    recent = np.array([True, False, True, True, True])
-    for gap_m, expected in ((0.06, [(0, 1)]), (0.04, [(0, 1), (3, 1)])):
-        spans = [(0.0, 1.0), (1.03, 2.0), (0.2, 0.9), (2.0 + gap_m, 3.5), (0.0, 1.0)]
-        extents = np.array([[line_point(wall, s) for s in span] for wall, span in zip(walls, spans, strict=True)])
-        assert sorted(collinear_pairs(walls, extents, recent, 0.45)) == expected
-    assert collinear_pairs(walls, extents, np.zeros(5, bool), 9.0) == []
 
 
 def test_extents_are_joined_on_the_landmark_from_the_first_place_to_the_last():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from laws import links, parameters, prior_map
-from point_world import START_COV, fed, joint_state, make, noisy, sight, step
+from point_world import make
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.estimators import ESTIMATORS, Filter, Link, Smoother, make_estimator
+from sixthsense.slam.estimators import ESTIMATORS, Filter, Link, Smoother
 from sixthsense.testing.estimators import LAWS
 
 SMOOTHERS = [name for name in ESTIMATORS if isinstance(make(name), Smoother)]
@@ -47,27 +47,3 @@ def test_a_link_says_nothing_of_a_direction_that_it_has_not_observed(name):
 def test_of_the_shipped_estimators_all_are_filters_and_one_is_a_smoother():
     assert all(isinstance(make(name), Filter) for name in ESTIMATORS)
     assert SMOOTHERS == ["isam2"]
-
-
-def test_as_the_noise_goes_to_zero_all_agree_with_each_other():
-    """The difference from the smoother is of second order: it falls with the square of the noise."""
-    gaps = []
-    for sigma in (1e-2, 1e-3):
-        answers = []
-        for name in ESTIMATORS:
-            rng, true, log = np.random.default_rng(1), Pose(), []
-            for _ in range(30):
-                odometry = step(sigma=sigma)
-                true = true @ noisy(odometry, rng)
-                log.append((odometry, sight(true, range(5), rng, sigma)))
-            estimate, joint = joint_state(fed(make(name, Pose(), np.zeros((3, 3))), log))
-            answers.append((np.append(estimate.pose.array(), estimate.landmarks), joint / sigma**2))
-        mean, cov = answers[-1]
-        gaps.append([[np.abs(m - mean).max() / sigma, np.abs(c - cov).max() / np.abs(cov).max()] for m, c in answers])
-    rough, fine = np.array(gaps)
-    assert (fine < 2e-3).all() and (fine[:-1] < 0.3 * rough[:-1]).all()
-
-
-def test_an_unknown_estimator_lists_the_known_ones():
-    with pytest.raises(ValueError, match="allowed: ekf"):
-        make_estimator("ukf", Pose(), START_COV)

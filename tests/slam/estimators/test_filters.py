@@ -9,7 +9,6 @@ from scipy.linalg import block_diag, expm
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.landmarks import initialize_landmark
 from sixthsense.core.motion import compose_jacobians
-from sixthsense.slam.estimators.ekf_algebra import propagate, seen_through, selected
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 SEEDS = range(5)
@@ -212,34 +211,3 @@ def test_forgetting_removes_rows_and_columns_and_changes_no_bit_of_the_rest(name
     index = [0, 1, 2, 3, 4, 7, 8, 11, 12]
     assert np.array_equal(cov_after, cov[np.ix_(index, index)])
     assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks[[0, 2, 4]])
-
-
-def lower(matrix: np.ndarray) -> np.ndarray:
-    return np.asfortranarray(np.where(np.tri(len(matrix), dtype=bool), matrix, np.nan))
-
-
-def symmetric(n: int) -> np.ndarray:
-    half = np.random.default_rng(n).standard_normal((n, n))
-    return half + half.T
-
-
-@pytest.mark.parametrize("index", [[], [0], [2, 3, 7], list(range(9))])
-def test_selected_rows_and_columns_are_those_of_the_whole_matrix(index: list[int]) -> None:
-    full, places = symmetric(9), np.array(index, dtype=np.int64)
-    found = selected(lower(full).T, places).T
-    assert found.flags.f_contiguous
-    assert np.array_equal(np.tril(found), np.tril(full[np.ix_(places, places)]))
-
-
-@pytest.mark.parametrize("head", [3, 5])
-def test_the_kernels_of_motion_and_update_are_products_of_matrices(head: int) -> None:
-    n, rng = head + 4, np.random.default_rng(head)
-    full, by_head, noise = symmetric(n), rng.normal(size=(head, head)), symmetric(3)
-    F, N = block_diag(by_head, np.eye(4)), block_diag(noise, np.zeros((n - 3, n - 3)))
-    stored = np.asfortranarray(lower(full))
-    propagate(stored.T, by_head, noise)
-    assert np.allclose(np.tril(stored), np.tril(F @ full @ F.T + N))
-    index, H, of_points = np.array([0, 1, 2, head, head + 1]), rng.normal(size=(2, 5)), symmetric(2)[None]
-    cross, S = seen_through(lower(full).T, index, H, of_points)
-    assert np.allclose(cross, H @ full[index])
-    assert np.allclose(S, H @ full[np.ix_(index, index)] @ H.T + of_points[0])

@@ -1,7 +1,6 @@
 """Poses that are taken out of the smoother's graph by request, with their links."""
 
 import numpy as np
-import pytest
 from laws.links import linked
 from point_world import assert_same, joint_state, make, step
 
@@ -16,15 +15,6 @@ def seen(smoother, before, after, off=0.01):
     """A link that differs a little from where a smoother has the poses."""
     poses = [Pose.from_array(row) for row in smoother.trajectory()[[before, after]]]
     return Link(before, after, Odometry(poses[0].inverse() @ poses[1] @ Pose(off, -off, off), 1e-3 * np.eye(3)))
-
-
-@pytest.mark.parametrize("gone", [[3], [1, 2, 3], [2, 4, 6], [1, 2, 4, 5, 6]])
-def test_without_links_nothing_is_lost(gone):
-    whole, less = linked("isam2"), linked("isam2")
-    assert less.take_out(gone) == []
-    assert_same(joint_state(whole), joint_state(less), 1e-6)
-    assert np.allclose(less.trajectory(), whole.trajectory(), atol=1e-9)
-    assert np.array_equal(less.poses_at([3, 0, 7]), less.trajectory()[[3, 0, 7]])
 
 
 def test_a_pose_that_was_taken_out_stays_where_it_was_beside_the_one_before_it():

@@ -97,25 +97,6 @@ def test_an_aligned_pose_balances_the_scans_and_what_was_known_before(laser, sli
     assert np.linalg.norm(of_scans + pull) < 0.05 * np.linalg.norm(pull)
 
 
-def test_returns_that_share_a_partner_count_as_two_pairs_at_most():
-    near, far = Pose(6.0, 0.0, np.pi), Pose(0.0, 0.0)
-    returns, relative = pair(HALF, a=far, b=near, walls=CORRIDOR)
-    partners, shared = partners_of(returns, 0, 1, relative, NEAR_GATE_M)
-    sums = of_one(no_sums(1))
-    add_all(Views(returns, 1, np.array([0]), np.zeros((1, 3))), relative, NEAR_GATE_M, False, sums)
-    assert shared.max() > 10 and shared.sum() == np.count_nonzero(partners >= 0)
-    assert sums.totals[1] == pytest.approx((2 * shared / (1 + shared)).sum())
-    assert sums.totals[1] < 2 * np.count_nonzero(shared) < 0.5 * shared.sum()
-
-
-def test_a_full_circle_has_normals_where_it_begins_and_ends():
-    returns = stored(scan_at(Pose(3.0, 0.5, 0.0), laser=ROUND)).returns  # the first beam looks at the far wall
-    turned = stored(scan_at(Pose(3.0, 0.5, math.pi), laser=ROUND)).returns
-    for one in (returns, turned):
-        assert (np.abs(np.hypot(*one.normals[0, :, :2].T) - 1.0) < 1e-3).mean() > 0.9
-    assert np.allclose(np.abs(returns.normals[0, [0, 1, -1], 0]), 1.0, atol=1e-3)
-
-
 def plain_normal(returns, i, low, high, reach_m):
     """Normal and variance of return `i` of a piece, by returns to either side up to a distance; None without one."""
     away = np.hypot(*(returns[low:high, :2] - returns[i, :2]).T)
@@ -170,15 +151,6 @@ def test_alignment_finds_the_motion_within_its_covariance(laser):
     assert len(squared) > 40
     assert np.sum(squared) < chi2.ppf(0.999, 3 * len(squared))  # not overconfident
     assert np.mean(squared) > 0.3  # nor worthless
-
-
-def test_along_a_corridor_the_covariance_claims_nothing():
-    rng = np.random.default_rng(4)
-    returns, true = pair(HALF, rng, Pose(0.0, 0.2, 0.1), Pose(0.5, 0.25, 0.05), CORRIDOR)
-    found = align_pairs(returns, np.array([0]), np.array([1]), true[None] + [0.02, 0.01, 0.01], NEAR_GATE_M)
-    values, axes = np.linalg.eigh(covariances(found.hessians, 0.01)[0, :2, :2])
-    assert np.sqrt(values[1]) > 0.5 and np.sqrt(values[0]) < 0.02
-    assert abs(axes[:, 1] @ [math.cos(0.1), -math.sin(0.1)]) > 0.999
 
 
 def test_the_covariance_of_a_link_is_that_of_its_hessian_by_hand():

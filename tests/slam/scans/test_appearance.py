@@ -53,7 +53,3 @@ def test_pairs_are_counted_as_a_plain_loop_counts_them():
             expected[int(row), np.digitize(abs(n @ m), [1 / 3, 2 / 3]), np.digitize(across, [2 / 3, 4 / 3])] += 1
     found = appearance(surfaces)
     assert len(found) == BINS and found**2 * expected.sum() == pytest.approx(expected.ravel(), abs=1e-9)
-
-
-def test_without_surfaces_nothing_is_alike():
-    assert not appearance(np.zeros((0, 4))).any()

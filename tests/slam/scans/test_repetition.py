@@ -34,7 +34,7 @@ def graph_of(poses, walls, laser):
     rng = np.random.default_rng(0)
     graph = ScanGraph(stored(*(scan_at(pose, walls, laser, rng=rng) for pose in poses)), None, 0.01)
     for k, pose in enumerate(poses):
-        graph.add(pose.array(), np.zeros(3))
+        graph.add(pose.array())
         if k:
             graph.moved(float(np.hypot(*(pose.position - poses[k - 1].position))), 1e-4, 1e-6)
     return graph

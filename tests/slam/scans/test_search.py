@@ -46,21 +46,6 @@ def brute_force(cells, points, window):
     return scores
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_branch_and_bound_finds_what_brute_force_finds(room, seed):
-    rng = np.random.default_rng(seed)
-    pose = Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
-    points = pose.inverse() @ room[rng.choice(len(room), 80, replace=False)]
-    centre = pose.array() + rng.uniform(-0.5, 0.5, 3) * [1.0, 1.0, 0.1]
-    window = Window(centre, 0.8, 0.1)
-    cells = pyramid(room)
-    found = peaks(cells, points, window, 0.2, Apart(0.7, 0.2))
-    scores = brute_force(cells, points, window)
-    assert found[0, 0] == pytest.approx(max(scores.values()), abs=1e-12)
-    assert np.hypot(*(found[0, 1:3] - pose.position)) < 2 * CELL_M
-    assert len(peaks(cells, points, window, found[0, 0], Apart(0.7, 0.2))) == 0  # nothing is better
-
-
 @pytest.mark.parametrize(("seed", "most"), [(0, 64), (1, 64), (2, 1), (3, 3)])
 def test_places_are_the_best_cells_of_blocks_that_are_apart(room, seed, most):
     rng = np.random.default_rng(seed)
@@ -79,16 +64,6 @@ def test_places_are_the_best_cells_of_blocks_that_are_apart(room, seed, most):
     found = peaks(cells, points, window, 0.15, apart, most)
     assert len(expected) >= min(most, 4)
     assert found == pytest.approx(np.array(expected), abs=1e-9)
-
-
-def test_blocks_have_the_largest_value_of_their_cells(room):
-    cells = pyramid(room)
-    columns, rows = cells.values.shape
-    padded = np.pad(cells.values, ((0, BLOCK), (0, BLOCK)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (BLOCK, BLOCK)).max(axis=(2, 3))[:columns, :rows]
-    for a in range(BLOCK):
-        for b in range(BLOCK):
-            assert (cells.blocks[a, b] == windows[a::BLOCK, b::BLOCK]).all()
 
 
 def test_a_scan_of_many_thousand_returns_fits_where_it_was_taken(room):

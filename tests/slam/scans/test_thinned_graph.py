@@ -6,7 +6,6 @@ from rooms import ROOM, drive, ticks
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.slam.scans.graph import LINKS
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(front_end="scan-matching", scans={"final_pass": False})
@@ -42,19 +41,3 @@ def test_the_graph_stops_growing_where_the_robot_has_been():
 def test_what_is_seen_a_few_times_stays():
     slam, _, _ = laps(3)
     assert slam._front_end._graph.is_kept.all()
-
-
-def test_new_territory_stays_bound_to_the_keyframes_before_it():
-    """A keyframe leaves only if those that are linked to it are known by old ones."""
-    thinning = laps(3)[0]._front_end.loop_closures._thinning
-    graph = thinning._graph
-    key = graph.count - 30
-    old = np.full(graph.count, 2)
-    graph.poses[:] = 0.0
-    assert thinning._is_spare(key, old)
-    for k in (key, key + LINKS):
-        old[k] = 1
-        assert not thinning._is_spare(key, old)
-        old[k] = 2
-    old[key + LINKS + 1] = 0
-    assert thinning._is_spare(key, old)

@@ -70,13 +70,6 @@ def test_a_tracked_pose_is_as_certain_as_the_wheels_and_the_scan_together():
     assert found.off == pytest.approx(off) and found.square == pytest.approx(off @ prior.information @ off)
 
 
-def test_what_is_usual_is_learnt_from_one_scan_in_fifty():
-    found = tracked(scan_at(TRUE), TRUE, Usual(0.11, 0.3))
-    usual = found.usual(Usual(0.11, 0.3))
-    assert usual.contradicted == pytest.approx(0.98 * 0.11 + 0.02 * found.contradicted, rel=1e-12)
-    assert usual.lines == pytest.approx(0.98 * 0.3 + 0.02 * found.lines, rel=1e-12) and usual.lines > 0.3
-
-
 def test_returns_of_a_larger_variance_count_as_a_prior_of_more_information_makes_them():
     """The pose is that of the ratio of both alone; the information of the scan is as much less."""
     said = Pose.from_array(compose(TRUE.array(), np.array([0.03, -0.02, 0.01])))

@@ -37,7 +37,3 @@ def test_wheels_that_are_better_or_worse_than_wheels_in_general_are_found_out(po
 def test_a_few_slips_say_little_of_the_other_motions():
     clean, slipping = learned(0.5, 0.7), learned(0.5, 0.7, slips=0.03)
     assert slipping == pytest.approx(clean, rel=0.35)
-
-
-def test_at_first_wheels_are_as_in_general():
-    assert np.array_equal(WheelNoise().factors, np.ones(3))

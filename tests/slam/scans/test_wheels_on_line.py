@@ -65,7 +65,7 @@ def test_a_covariance_that_the_log_states_is_not_enlarged():
     for source in (ByWheels(AssumedConfig()), ByWheels(AssumedConfig(), wheel_prior(AssumedConfig()))):
         for is_stated in (True, False):
             tick = stated if is_stated else replace(stated, increment_cov=None)
-            moved = source.increment(Pose(1.0, 0.2, 0.3), tick, 0.1, Pose())
+            moved = source.increment(Pose(1.0, 0.2, 0.3), tick, 0.1)
             for found in (source.for_estimator(moved), source.for_tracking(moved)):
                 assert np.array_equal(found.cov, moved.cov) == is_stated
 
