@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sixthsense.auditing import pairing
 from sixthsense.auditing.mistakes import WRONG, of_errors, of_poses
 from sixthsense.auditing.opening import Options, Order, Source, open_estimate, open_truth
-from sixthsense.auditing.pairing import Align, Errors, aligned, check_is_not_the_truth, errors_of, paired
-from sixthsense.auditing.pairs import pair_findings
+from sixthsense.auditing.pairing import Align, Errors, TrajectoryErrors
 from sixthsense.auditing.poses import Frame, Poses
 from sixthsense.auditing.result import Audit
-from sixthsense.auditing.scores import TrajectoryErrors, pooled, trajectory_errors
-from sixthsense.auditing.statistics import AXES, findings, is_other_frame
+from sixthsense.auditing.statistics import AXES, findings, is_other_frame, pair_findings
 from sixthsense.config.errors import InputError
 
 
@@ -40,7 +39,6 @@ def audit(
     topic: str = "",
     pair_topic: str = "",
     truth_topic: str = "",
-    truth_frames: tuple[str, str] | None = None,
     frame: Frame | None = None,
     order: Order = "translation",
     align: Align | None = None,
@@ -64,8 +62,8 @@ def audit(
         Without a truth: another system on the same drive, with covariances; is one of both overconfident?
     covariance
         With a TUM file: a stamp and the 6 or 21 numbers of the upper triangle in each line; with `pair` a list of two.
-    topic, pair_topic, truth_topic, truth_frames
-        In bags; by default the only topic with poses. "/tf" as truth takes the names of parent and child.
+    topic, pair_topic, truth_topic
+        In bags; by default the only topic with poses.
     frame
         "world", the default: the axes of the parent frame, as ROS has it; "body": those of the body.
     order
@@ -85,8 +83,8 @@ def audit(
 
     """
     options = Options(
-        topic=topic, pair_topic=pair_topic, truth_topic=truth_topic, truth_frames=truth_frames,
-        frame=frame, order=order, align=align, time_offset=time_offset, same_start=same_start,
+        topic=topic, pair_topic=pair_topic, truth_topic=truth_topic, frame=frame,
+        order=order, align=align, time_offset=time_offset, same_start=same_start,
     )  # fmt: skip
     if pair is not None:
         return _judged([_beside_each_other(estimate, truth, pair, covariance, options)], options, is_pair=True)
@@ -109,12 +107,11 @@ def _judged(runs: list[_Compared], options: Options, is_pair: bool = False) -> A
         told = f"the covariances may have the axes of the {other}, where the NEES is {nees}"
         notes.append(f"the NEES depends on the heading: {told}")
     names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
-    trajectory = None if is_pair else pooled([(len(run.truth), run.trajectory) for run in runs])
+    trajectory = None if is_pair else pairing.pooled([(len(run.truth), run.trajectory) for run in runs])
     judged = pair_findings(found, own[0]) if is_pair else None
     axes, dof = "the world's axes, rotations about fixed axes" if read == "world" else "the body's axes", found.pose.dof
-    origin = " (the convention of ROS)" if options.frame is None and first.frames[0] else ""
-    space = f"SE({2 if dof == 3 else 3}): {', '.join(AXES[read, dof])}"
-    words = f"in {axes}{origin}; {options.order} first; {space}"
+    origin = first.convention if options.frame is None else ""
+    words = f"in {axes}{origin}; {options.order} first; SE({2 if dof == 3 else 3}): {', '.join(AXES[read, dof])}"
     return Audit(found, tuple(own), read, align, words, (names[0], names[1]), tuple(notes), trajectory, judged)
 
 
@@ -168,10 +165,10 @@ def _side_by_side(estimate: Poses, truth: Poses, align: Align, options: Options)
     if options.same_start:
         truth = replace(truth, stamps_ns=truth.stamps_ns - truth.stamps_ns[0] + estimate.stamps_ns[0])
     stamps_ns = estimate.stamps_ns + round(1e9 * options.time_offset)
-    pair = paired(replace(estimate, frame=frame, stamps_ns=stamps_ns), truth)
-    check_is_not_the_truth(pair)
-    motion = aligned(pair, align, frame)
-    own, other = (errors_of(pair, motion, one) for one in (frame, "body" if frame == "world" else "world"))
+    pair = pairing.paired(replace(estimate, frame=frame, stamps_ns=stamps_ns), truth)
+    pairing.check_is_not_the_truth(pair)
+    motion = pairing.aligned(pair, align, frame)
+    own, other = (pairing.errors_of(pair, motion, one) for one in (frame, "body" if frame == "world" else "world"))
     wrong = [f"{WRONG}: {mistake}" for mistake in of_errors(own)] if truth.covs is None else []
     notes = (*pair.notes, *of_poses(pair, align), *wrong)
-    return _Compared(estimate, pair.truth, own, other, trajectory_errors(pair), notes)
+    return _Compared(estimate, pair.truth, own, other, pairing.trajectory_errors(pair), notes)

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sixthsense.auditing.pairing import Align, Errors, Pair
+from sixthsense.auditing.pairing import Align, Errors, Pair, fitted, rms
 from sixthsense.auditing.poses import POSITION, Poses, is_of_plane
-from sixthsense.auditing.scores import fitted, rms
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation.metrics import has_full_rank
 
@@ -66,22 +65,19 @@ def of_errors(errors: Errors) -> Iterator[str]:
         yield f"errors of rotations are {turn:.3g} times as large beside their sigmas: are headings in degrees?"
 
 
-def of_columns(pair: Pair) -> str:
-    """Which columns of x, y and heading are exchanged, by the truth; empty if they are not."""
+def of_columns(pair: Pair) -> Iterator[str]:
+    """A line on the columns of x, y and heading that are exchanged, by the truth."""
     found = np.column_stack([pair.estimate.positions[:, :2], np.unwrap(pair.estimate.headings)])
     true = pair.truth.positions[:, :2]
-    spread = rms(true - true.mean(axis=0))
-    names = ("x", "y", "theta")
-    left = {}
+    spread_m, left = max(rms(true - true.mean(axis=0)), 1e-9), {}
     for order in itertools.permutations(range(3)):
         places = found[:, order[:2]]
         turn, shift = fitted(places, true)
-        left[order] = rms(places @ turn.T + shift - true) / max(spread, 1e-9)
+        left[order] = rms(places @ turn.T + shift - true) / spread_m
     best = min(left, key=lambda order: left[order])
-    if left[best] > _FITS or left[0, 1, 2] < 3.0 * left[best] or left[0, 1, 2] < _FITS:
-        return ""
-    given = ", ".join(names[best.index(k)] for k in range(3))
-    return f"columns of {pair.estimate.name} fit the truth as {given}, not as x, y, theta"
+    if left[best] <= _FITS <= left[0, 1, 2] and 3.0 * left[best] <= left[0, 1, 2]:
+        given = ", ".join(("x", "y", "theta")[best.index(k)] for k in range(3))
+        yield f"{WRONG}: columns of {pair.estimate.name} fit the truth as {given}, not as x, y, theta"
 
 
 def of_poses(pair: Pair, align: Align) -> Iterator[str]:
@@ -91,8 +87,8 @@ def of_poses(pair: Pair, align: Align) -> Iterator[str]:
     """
     if not pair.estimate.is_planar or len(pair.estimate) < _FEWEST:
         return
-    if exchanged := of_columns(pair):
-        yield f"{WRONG}: {exchanged}"
+    if exchanged := [*of_columns(pair)]:
+        yield from exchanged
         return
     found, true = pair.estimate.positions[:, :2], pair.truth.positions[:, :2]
     headings = pair.estimate.headings, pair.truth.headings

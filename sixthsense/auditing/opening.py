@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from sixthsense.auditing.mistakes import WRONG, of_estimate
 from sixthsense.auditing.pairing import Align
-from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, interpolated, poses_from
+from sixthsense.auditing.poses import Frame, Poses, Stamps, check_covariances, poses_from
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import Section
 from sixthsense.core.arguments import as_array
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
 
 Order = Literal["translation", "rotation"]
-Name = Annotated[str, Field(min_length=1)]
 Source = str | Path | MeasuredRun | Sequence[ArrayLike]
 """a bag, a TUM file, the folder of a run, a run, or arrays: stamps, poses and, of an estimate, covariances"""
 
@@ -46,9 +44,7 @@ class Options(Section):
     pair_topic: str = ""
     """the same of the other system; by default as `topic`"""
     truth_topic: str = ""
-    """of the truth in a bag: a topic of poses, or /tf"""
-    truth_frames: tuple[Name, Name] | None = None
-    """parent and child in /tf; by default those that the estimate names"""
+    """of the truth in a bag"""
     frame: Frame | None = None
     """whose axes the covariances have; by default that of the format, and else the world's"""
     order: Order = "translation"
@@ -95,8 +91,6 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         return _of_arrays("truth", source, ("stamps", "poses"))
     path = Path(source)
     if kind_of(path) == "bag":
-        if options.truth_topic.strip("/") == "tf" or (options.truth_frames and not options.truth_topic):
-            return _of_transforms(path, options.truth_frames or estimate.frames)
         from sixthsense.logs.bag_file import read_poses
 
         own = estimate.name.removeprefix(f"{path} ")
@@ -114,7 +108,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
 
         found = read_poses(path, topic)
         poses = poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
-        return replace(poses, frame="world", frames=(found.parent, found.child))
+        return replace(poses, frame="world", convention=" (the convention of ROS)")
     path = _file(path)
     if covariance is None:
         form = "a file with a stamp and 6 or 21 numbers of the upper triangle in each line"
@@ -159,24 +153,6 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
 
         return str(Path(source)), load_record(source).trace
     return None
-
-
-def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
-    """The poses of a frame in another one, at the stamps of the link that is sent most often."""
-    if not all(frames):
-        raise InputError("truth_frames", "found none", "parent and child in /tf, such as map base_link")
-    from sixthsense.logs.bag_file import read_transforms
-
-    links = [poses_from(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
-    moving = [link for link in links if len(link) > 1]
-    stamps = max(moving, key=len).stamps_ns
-    first, last = max(link.stamps_ns[0] for link in moving), min(link.stamps_ns[-1] for link in moving)
-    stamps = stamps[(stamps >= first) & (stamps <= last)]
-    position, turns = np.zeros((len(stamps), 3)), Rotation.identity()
-    for link in links:
-        place, own = interpolated(link, stamps) if len(link) > 1 else (link.positions, link.turns)
-        position, turns = position + turns.apply(place), turns * own
-    return Poses(f"{path} /tf {' '.join(frames)}", stamps, position, turns)
 
 
 def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:

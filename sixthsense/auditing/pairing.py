@@ -1,9 +1,10 @@
-"""An estimate beside the truth: the same instants, the same frame, and the errors with their covariances."""
+"""An estimate beside the truth: the same instants, the same frame, the errors with their covariances and without."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +85,10 @@ def paired(estimate: Poses, truth: Poses) -> Pair:
     at, true_ns = estimate.stamps_ns, truth.stamps_ns
     inside = (at >= true_ns[0]) & (at <= true_ns[-1])
     if len(truth) < 2 or not inside.any():
-        spans = [f"{seconds(one[0]):.3f} to {seconds(one[-1]):.3f} s" for one in (at, true_ns)]
-        raise InputError(
-            "stamps",
-            f"found {estimate.name} from {spans[0]} and {truth.name} from {spans[1]}",
-            "one clock, and times that overlap; or `same_start` if both begin together",
-        )
+        spans = [f"{one.name} from {seconds(one.stamps_ns[0]):.3f} to {seconds(one.stamps_ns[-1]):.3f} s"
+                 for one in (estimate, truth)]  # fmt: skip
+        allowed = "one clock, and times that overlap; or `same_start` if both begin together"
+        raise InputError("stamps", f"found {' and '.join(spans)}", allowed)
     after = np.clip(np.searchsorted(true_ns, at), 1, len(truth) - 1)
     is_later = at - true_ns[after - 1] > true_ns[after] - at
     nearest, gaps = np.where(is_later, after, after - 1), np.diff(true_ns)
@@ -113,11 +112,9 @@ def paired(estimate: Poses, truth: Poses) -> Pair:
             note += f": only the {int(beside.sum()):,} poses beside a true one are compared"
         notes.append(note)
     if not used.any():
-        raise InputError(
-            estimate.name,
-            "found no pose beside the truth whose covariance has full rank",
-            f"covariances of {'x, y and heading' if estimate.is_planar else 'all six axes'}",
-        )
+        found = "found no pose beside the truth whose covariance has full rank"
+        allowed = f"covariances of {'x, y and heading' if estimate.is_planar else 'all six axes'}"
+        raise InputError(estimate.name, found, allowed)
     positions, turns = interpolated(truth, at[used])
     covs = None if truth.covs is None else truth.covs[nearest[used]]
     there = replace(truth, stamps_ns=at[used], positions=positions, turns=turns, covs=covs)
@@ -191,3 +188,42 @@ def errors_of(pair: Pair, motion: Motion, frame: Frame) -> Errors:
     if truth.covs is not None:
         cov = own + (turned(truth.covs, truth.turns) if truth.frame == "body" else truth.covs)
     return Errors(estimate.stamps_ns, error, cov, turns, of_estimate=own)
+
+
+class TrajectoryErrors(NamedTuple):
+    """Errors of a trajectory without its covariances."""
+
+    ate_m: float
+    """RMSE of the position, as the poses stand (`evo_ape`)"""
+    aligned_ate_m: float
+    """the same after the rigid motion with the least sum of squares (`evo_ape --align`)"""
+
+
+def trajectory_errors(pair: Pair) -> TrajectoryErrors:
+    """The errors of poses beside the truth at the same instants."""
+    n = 2 if pair.estimate.is_planar else 3
+    found, true = pair.estimate.positions[:, :n], pair.truth.positions[:, :n]
+    turn, shift = fitted(found, true)
+    return TrajectoryErrors(rms(found - true), rms(found @ turn.T + shift - true))
+
+
+def fitted(points: Array, true: Array) -> tuple[Array, Array]:
+    """The rigid motion x -> R x + t of (N, n) points onto others with the least sum of squares (Umeyama 1991)."""
+    centre, onto = points.mean(axis=0), true.mean(axis=0)
+    u, _, vt = np.linalg.svd((true - onto).T @ (points - centre))
+    signs = np.ones(len(u))
+    signs[-1] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    turn = (u * signs) @ vt
+    return turn, onto - turn @ centre
+
+
+def pooled(runs: Sequence[tuple[int, TrajectoryErrors]]) -> TrajectoryErrors:
+    """The errors of several runs together, by their numbers of poses."""
+    counts = np.array([count for count, _ in runs], dtype=np.float64)
+    values = np.array([errors for _, errors in runs])  # (runs, fields)
+    return TrajectoryErrors(*np.sqrt(counts @ values**2 / counts.sum()).tolist())
+
+
+def rms(rows: Array) -> float:
+    """Root mean square of the lengths of (N, n) vectors."""
+    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1))))

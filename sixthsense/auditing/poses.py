@@ -44,8 +44,8 @@ class Poses:
     """(N, d, d), d = 3 or 6, translation first; None for a truth"""
     frame: Frame | None = None
     """whose axes the covariances have by the convention of the file's format; None where it has none"""
-    frames: tuple[str, str] = ("", "")
-    """names of the parent and the child frame, of a bag"""
+    convention: str = ""
+    """whose that is, in words; empty where it is that of this package"""
     notes: tuple[str, ...] = ()
     """what was assumed of the file, a line each"""
 
@@ -83,9 +83,8 @@ def poses_from(name: str, stamps_ns: Stamps, poses: Array, covs: Array | None = 
     if poses.shape[1:] == (7,):
         positions, turns = poses[:, :3], Rotation.from_quat(poses[:, 3:])
     elif is_planar:
-        matrix = poses.ndim == 3
-        places = poses[:, :2, 2] if matrix else poses[:, :2]
-        angles = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) if matrix else poses[:, 2]
+        angles = poses[:, 2] if poses.ndim == 2 else np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+        places = poses[:, :2] if poses.ndim == 2 else poses[:, :2, 2]
         positions, turns = np.pad(places, ((0, 0), (0, 1))), Rotation.from_rotvec(np.outer(angles, (0.0, 0.0, 1.0)))
     else:
         positions, turns = poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3])

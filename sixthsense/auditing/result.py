@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic_core import to_jsonable_python
 
-from sixthsense.auditing.pairing import Align, Errors
-from sixthsense.auditing.pairs import LEAST_OF_A_PAIR, PairFindings
+from sixthsense.auditing.pairing import Align, Errors, TrajectoryErrors
 from sixthsense.auditing.poses import POSITION, Frame
-from sixthsense.auditing.scores import TrajectoryErrors
-from sixthsense.auditing.statistics import AXES, LEVELS, Findings
+from sixthsense.auditing.statistics import AXES, LEAST_OF_A_PAIR, LEVELS, Findings, PairFindings
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.evaluation.consistency import Consistency, Outcome, short
 from sixthsense.figures.canvas import in_millimetres, legend_above
@@ -42,7 +40,7 @@ class Audit:
     """
 
     findings: Findings
-    """NEES with its band, factors with their intervals, by axis and over time; coverage and log score"""
+    """NEES with its band, factors with their intervals, by axis; coverage"""
     runs: tuple[Errors, ...]
     """errors and covariances, after alignment"""
     axes_of: Frame
@@ -93,21 +91,17 @@ class Audit:
         yield ("truth" if self.pair is None else "pair"), self.names[1]
         taken = f"; {100.0 * found.removed:.2g} % of the errors' squares taken off" if self.align == "all" else ""
         yield "alignment", _ALIGNED[self.align] + taken
-        yield "by axis", f"errors over stated sigmas: {', '.join(map(_ratio, found.axes, found.axes.values()))}"
-        parts = ", ".join("-" if math.isnan(part) else short(part) for part in found.parts)
-        yield "over time", f"NEES in {len(found.parts)} equal parts: {parts}"
+        ratios = {name: map(short, (math.sqrt(one.factor), *one.sigmas)) for name, one in found.axes.items()}
+        words = (f"{name} {ratio} ({low} to {high})" for name, (ratio, low, high) in ratios.items())
+        yield "by axis", f"errors over stated sigmas: {', '.join(words)}"
         low, high = found.pose.interval
         yield "factor", f"{short(found.factor)} for the covariance, {short(low)} to {short(high)} with 95 %"
         if self.pair is not None:
             told = ", ".join(f"{100.0 * chance:.0f} % for {times:g} times" for times, chance in self.pair.power.items())
             yield "power", f"one whose errors are larger than its sigmas is found with {told}"
             yield "dependence", "errors that both share, as by one odometry or the same scans, cancel: they hide"
-        levels, shares = (
-            ", ".join(f"{100.0 * one:.0f}" for one in of) for of in (LEVELS, found.score.coverage.values())
-        )
+        levels, shares = (", ".join(f"{100.0 * one:.0f}" for one in of) for of in (LEVELS, found.coverage.values()))
         yield "coverage", f"inside the regions of {levels} %: {shares}"
-        scaled = f"{found.score.scaled_log_score:.2f} with the covariance times the factor"
-        yield "log score", f"{found.score.log_score:.2f} nats on average; {scaled}"
         if self.trajectory is not None:
             yield "trajectory", f"ATE {self.trajectory.ate_m:.3f} m, {self.trajectory.aligned_ate_m:.3f} m aligned"
         yield from (("note", note) for note in self.notes)
@@ -193,11 +187,6 @@ def _where(found: Findings) -> str:
     if most := [name for name in some if min(is_more * (end - typical) for end in found.axes[name].interval) > 0.0]:
         return f", mostly in {_listed(most)}"
     return "" if not some else ", on all axes" if len(some) == len(found.axes) else f", in {_listed(some)}"
-
-
-def _ratio(name: str, one: Consistency) -> str:
-    low, high = one.sigmas
-    return f"{name} {short(math.sqrt(one.factor))} ({short(low)} to {short(high)})"
 
 
 def _listed(names: list[str]) -> str:

@@ -1,4 +1,9 @@
-"""Errors beside stated covariances: the consistency of the pose and of each axis, and over time."""
+"""Errors beside stated covariances: the consistency of the pose and of each axis, over time, and of two systems.
+
+Two systems without a truth are compared with each other: if both are honest and independent, the difference of their
+poses has the sum of both covariances. Errors that both share, as by the same odometry, cancel: they hide
+overconfidence, and never feign it.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +17,8 @@ from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.poses import Frame, heading
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.consistency import (
-    LEAST_SAMPLES,
-    Consistency,
-    Outcome,
-    consistency,
-    effective_samples,
-    effective_samples_of_errors,
-    whitened_errors,
-)
+from sixthsense.evaluation import consistency as effective
+from sixthsense.evaluation.consistency import LEAST_SAMPLES, Consistency, Outcome, consistency, whitened_errors
 
 LEVELS = (0.5, 0.9, 0.95)
 """of the regions whose coverage is computed"""
@@ -32,19 +30,12 @@ AXES = {
 }
 """names of the axes of an error, by frame and size"""
 
-_PARTS = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """How well the stated covariance describes the errors of the pose."""
-
-    coverage: dict[float, float]
-    """share of the errors inside the region that is to hold this share"""
-    log_score: float
-    """mean of the negative logarithm of the stated density at the errors, nats (m, rad): less is better"""
-    scaled_log_score: float
-    """the same if the covariance were multiplied by its factor, the least that any multiple has"""
+CONFIDENCE = 0.95
+"""of each one-sided statement"""
+LEAST_OF_A_PAIR = 0.5 * LEAST_SAMPLES
+"""Effective samples: a number of 30 is itself estimated to 40 %, and the power stands beside the verdict."""
+TIMES = (1.5, 2.0, 3.0)
+"""of one system's stated sigmas, for which the power is computed"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +48,10 @@ class Findings:
     """of the whole pose, the degrees of freedom of an alignment taken off"""
     axes: dict[str, Consistency]
     """by name of the axis"""
-    parts: tuple[float, ...]
-    """mean NEES in equal parts of the time; NaN for a part without poses"""
     removed: float
     """share of the NEES that the alignment has taken"""
-    score: Score
-    """coverage and log score of the pose"""
+    coverage: dict[float, float]
+    """share of the errors inside the region that is to hold this share"""
 
     @property
     def outcome(self) -> Outcome:
@@ -88,7 +77,7 @@ def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
     lengths = np.array([len(one) for one in whitened], dtype=np.float64)
     removed = 0.0
     if align == "all":  # as of a mean that is estimated
-        numbers = np.array([effective_samples_of_errors([one])[1] for one in whitened])
+        numbers = np.array([effective.effective_samples_of_errors([one])[1] for one in whitened])
         removed = min(0.5, float(np.sum(lengths / numbers) / lengths.sum()))
 
     def judged(parts: Sequence[tuple[Array, Array]]) -> Consistency:
@@ -101,27 +90,9 @@ def findings(runs: Sequence[Errors], align: Align, frame: Frame) -> Findings:
         name: judged([(error[:, k : k + 1], cov[:, k : k + 1, k : k + 1]) for error, cov in turned])
         for k, name in enumerate(AXES[frame, pose.dof])
     }
-    return Findings(int(lengths.sum()), pose, axes, _over_time(runs), removed, _score(runs))
-
-
-def _score(runs: Sequence[Errors]) -> Score:
-    nees, dof = np.concatenate([run.nees for run in runs]), runs[0].error.shape[1]
-    volumes = np.concatenate([np.linalg.slogdet(run.cov)[1] for run in runs])
-    volume, mean = dof * math.log(2.0 * math.pi) + float(volumes.mean()), float(nees.mean())
-    coverage = {level: float(np.mean(nees <= chi_square_quantile(level, dof))) for level in LEVELS}
-    scaled = 0.5 * (volume + dof * math.log(max(mean / dof, 1e-300)) + dof)
-    return Score(coverage, 0.5 * (volume + mean), scaled)
-
-
-def _over_time(runs: Sequence[Errors]) -> tuple[float, ...]:
-    """Mean NEES of all runs in equal parts of each run's time; NaN for a part without poses."""
-    sums, counts = np.zeros(_PARTS), np.zeros(_PARTS)
-    for run in runs:
-        since = (run.stamps_ns - run.stamps_ns[0]).astype(np.float64)
-        span = (0.0, max(since[-1], 1.0))
-        sums += np.histogram(since, _PARTS, span, weights=run.nees)[0]
-        counts += np.histogram(since, _PARTS, span)[0]
-    return tuple((sums / np.where(counts > 0.0, counts, np.nan)).tolist())
+    nees = np.concatenate([run.nees for run in runs])
+    coverage = {level: float(np.mean(nees <= chi_square_quantile(level, pose.dof))) for level in LEVELS}
+    return Findings(int(lengths.sum()), pose, axes, removed, coverage)
 
 
 def heading_dependence(errors: Errors) -> float:
@@ -134,7 +105,7 @@ def heading_dependence(errors: Errors) -> float:
     basis = np.column_stack([np.ones_like(nees), np.cos(twice), np.sin(twice)])
     fit = basis @ np.linalg.lstsq(basis, nees, rcond=None)[0]
     variance = float(np.var(nees))
-    return effective_samples([nees]) * float(np.var(fit)) / variance if variance > 0.0 else 0.0
+    return effective.effective_samples([nees]) * float(np.var(fit)) / variance if variance > 0.0 else 0.0
 
 
 def is_other_frame(runs: Sequence[Errors], others: Sequence[Errors]) -> bool:
@@ -147,3 +118,66 @@ def is_other_frame(runs: Sequence[Errors], others: Sequence[Errors]) -> bool:
     read, other = (sum(map(heading_dependence, one)) for one in (runs, others))
     means = [float(np.concatenate([run.nees for run in one]).mean()) for one in (runs, others)]
     return read > limit and other < read and means[1] < (1.0 - 1e-6) * means[0]
+
+
+@dataclass(frozen=True, slots=True)
+class PairFindings:
+    """What two systems say of each other."""
+
+    outcome: Outcome
+    """overconfident: at least one is; cautious: at least one is, or their errors depend on each other"""
+    samples: float
+    """effective number of samples of the differences, if both are honest"""
+    least: float
+    """at least one system's errors are so many times its stated sigmas, with 95 %; 0 to 1: perhaps none"""
+    if_other_honest: tuple[float, float]
+    """the same for the first system if the second is honest, and for the second if the first is"""
+    power: dict[float, float]
+    """chance to be found if one system's errors are so many times its stated sigmas, the smaller one of the two"""
+
+
+def pair_findings(found: Findings, errors: Errors) -> PairFindings:
+    """Judge the differences of two systems: the first one's covariance is a part of that of the differences."""
+    of_first = errors.of_estimate
+    assert of_first is not None
+    # Of honest systems the whitened differences are standard normal: their own correlation gives the samples.
+    samples, dof = effective.effective_samples_of_errors([whitened_errors(errors.error, errors.cov)])[0], found.pose.dof
+    low, high = (
+        found.factor * samples * dof / float(chi_square_quantile(tail, samples * dof))
+        for tail in (CONFIDENCE, 1.0 - CONFIDENCE)
+    )
+    share = float(np.einsum("kii->k", np.linalg.solve(errors.cov, of_first)).mean()) / dof
+    outcome: Outcome = "overconfident" if low > 1.0 else "cautious" if high < 1.0 else "consistent"
+    return PairFindings(
+        "too short to tell" if samples < LEAST_OF_A_PAIR else outcome,
+        samples,
+        math.sqrt(low),
+        (_least(low, share), _least(low, 1.0 - share)),
+        {times: power(errors.cov, of_first, samples, times) for times in TIMES},
+    )
+
+
+def _least(factor: float, share: float) -> float:
+    """The factor of sigmas of a system with a share of the covariance, if the other part has the factor 1."""
+    return math.sqrt(max(factor - (1.0 - share), 0.0) / max(share, 1e-12))
+
+
+def power(cov: Array, of_first: Array, samples: float, times: float) -> float:
+    """The chance that one system is found whose errors are so many times its stated sigmas, by chi-square.
+
+    The smaller chance of both systems. The sum of squares of `samples` differences with covariances (N, d, d) is a sum
+    of weighted chi-squares; it has the mean and the variance of a scaled chi-square (Satterthwaite 1946).
+    """
+    dof, chances = cov.shape[1], []
+    limit = float(chi_square_quantile(CONFIDENCE, samples * dof))
+    for part in (of_first, cov - of_first):
+        weights = 1.0 + (times**2 - 1.0) * np.linalg.eigvals(np.linalg.solve(cov, part)).real  # (N, d)
+        mean, square = float(weights.mean()), float((weights**2).mean())
+        chances.append(_survival(limit * mean / square, samples * dof * mean**2 / square))
+    return min(chances)
+
+
+def _survival(limit: float, freedom: float) -> float:
+    from scipy.special import gammaincc  # here, since it takes a while to load
+
+    return float(gammaincc(0.5 * freedom, 0.5 * limit))

@@ -36,9 +36,7 @@ class Audit(Options):
     pair_topic: str = ""
     """Topic of the other systems; by default as --topic."""
     truth_topic: str = ""
-    """Topic of the truth in a bag: one of poses, or /tf."""
-    truth_frames: Annotated[tuple[str, str] | None, Arg("PARENT CHILD")] = None
-    """In /tf; by default those that the estimate names."""
+    """Topic of the truth in a bag, if there are several."""
     frame: Literal["world", "body"] | None = None
     """Whose axes the covariances have; by default the world's, as ROS has it."""
     order: Literal["translation", "rotation"] = "translation"

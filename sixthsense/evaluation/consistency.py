@@ -142,9 +142,8 @@ def effective_samples_of_errors(whitened: Sequence[Array]) -> tuple[float, float
     correlation = covariance.sum(axis=0) / covariance[:, 0].sum()
     end = _initial(correlation)
     squares = np.sum(covariance[:, :end] ** 2, axis=0) / np.sum(covariance[:, 0] ** 2)
-    return _bounded(count, 2.0 * float(squares.sum()) - 1.0), _bounded(
-        count, 2.0 * float(correlation[:end].sum()) - 1.0
-    )
+    of_squares, of_errors = (_bounded(count, 2.0 * float(one.sum()) - 1.0) for one in (squares, correlation[:end]))
+    return of_squares, of_errors
 
 
 def effective_number(nees: Sequence[Array], whitened: Sequence[Array]) -> float:

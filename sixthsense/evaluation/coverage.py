@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import beam_bearings
 from sixthsense.core.ray_casting import Beams, beams_of, cast_among, near_walls
-from sixthsense.core.se2 import Triple
+from sixthsense.core.se2 import Triple, compose
 from sixthsense.simulation.scene_grid import SceneGrid
 
 if TYPE_CHECKING:
@@ -118,43 +118,34 @@ def visible_area(
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 
-    seats = _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m)))
-    lasers = [Pose(x[col], y[row]) for row, col in seats]
+    views = enumerate(_viewpoints(reachable, max(1, round(_SQUARE_M / cell_m))))
+    lasers = {k: Pose(x[col], y[row]) for k, (row, col) in views}
     bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
     area = VisibleArea(inside & (clearances >= cell_m), (float(origin[0]), float(origin[1])), cell_m)
-    mask = area.mask & (_first_seen(area, dict(enumerate(lasers)), bearings, laser_range, walls) >= 0)
+    mask = area.mask & (_first_seen(area, lasers, bearings, laser_range, walls) >= 0)
     mask.flags.writeable = False
     return replace(area, mask=mask)
 
 
-def coverage(
-    area: VisibleArea,
-    poses: Array,
-    bearings: Array,
-    mount: tuple[float, float, float],
-    max_range: float,
-    walls: Array,
-) -> Array:
+def coverage(area: VisibleArea, lasers: Array, bearings: Array, max_range: float, walls: Array) -> Array:
     """(S,) the share, 0 to 1, of the visible area's cells on a beam of any scan so far; NaN if the area is empty.
 
-    `poses` (S, 3) true poses of the robot at its scans, `bearings` (N,) of the beams in the laser's frame, evenly
-    spaced, `mount` the laser's pose on the robot, `walls` (M, 2, 2), metres and radians. The beams are cast again,
-    without noise. Scans from the pose of the previous scan are skipped.
+    `lasers` (S, 3) true poses of the laser at the scans, `bearings` (N,) of its beams, evenly spaced, `walls`
+    (M, 2, 2), metres and radians. The beams are cast again, without noise. Scans from the pose of the previous scan are
+    skipped.
     """
     if not area.mask.any():
-        return np.full(len(poses), math.nan)
+        return np.full(len(lasers), math.nan)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
-    lasers: dict[int, Pose] = {}
+    seats: dict[int, Pose] = {}
     last = None
-    for k, pose in enumerate(map(Pose.from_array, poses)):
-        if last is not None:
-            moved, turned = math.hypot(pose.x - last.x, pose.y - last.y), abs((last.inverse() @ pose).theta)
-            if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
-                continue
-        last, lasers[k] = pose, pose @ Pose(*mount)
-    known = _first_seen(area, lasers, bearings, max_range, walls)[area.mask]
-    return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(poses))) / len(known))
+    for k, laser in enumerate(map(Pose.from_array, lasers)):
+        moved = None if last is None else last.inverse() @ laser
+        if moved is None or math.hypot(moved.x, moved.y) >= 0.5 * area.cell_m or abs(moved.theta) >= 0.5 * spacing:
+            last = seats[k] = laser
+    known = _first_seen(area, seats, bearings, max_range, walls)[area.mask]
+    return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(lasers))) / len(known))
 
 
 def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
@@ -168,7 +159,8 @@ def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
     start = (float(poses[0, 0]), float(poses[0, 1]))
     region = trace.config.region or trace.scene.region
     area = visible_area(walls, region, start, trace.radius_m, laser.max_range, glass=trace.scene.glass)
-    return area, coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
+    lasers = compose(poses, np.array(laser.mount))
+    return area, coverage(area, lasers, beam_bearings(laser), laser.max_range, walls)
 
 
 def _first_seen(

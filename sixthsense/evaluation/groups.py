@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -59,15 +58,15 @@ class Sample:
         return {RUN: self.name} | flat(as_table(self.config))
 
 
-class RunTable(ABC):
+class RunTable:
     """A table of runs that can be compared, such as a campaign."""
 
     name: str
     """by which its runs are told from those of another"""
 
-    @abstractmethod
     def samples(self, name: str) -> Sequence[Sample]:
         """Its runs, under a name."""
+        raise NotImplementedError
 
 
 def table_of(samples: Sequence[Sample]) -> pd.DataFrame:
@@ -121,12 +120,9 @@ def usual_grouping(runs: Sequence[Fields]) -> list[str]:
 
 def differences(runs: Sequence[Fields]) -> str:
     """What differs between the runs and what they have in common, for the title of a figure."""
-    apart = [name for name in differing(runs) if name != RUN]
-    if "preset" in apart:  # a preset stands for the fields that it sets
-        apart = [name for name in apart if name in LABELS]
-    apart.sort(key=lambda name: name not in LABELS)
+    apart = differing(runs, LABELS)  # a preset stands for the fields that it sets
+    apart += [] if "preset" in apart else [name for name in differing(runs) if name not in (RUN, *LABELS)]
     counts = [f"{name} ({len({repr(fields.get(name)) for fields in runs})})" for name in apart[:_MOST_NAMED]]
-    counts += [f"{len(apart) - _MOST_NAMED} more"] if len(apart) > _MOST_NAMED else []
     shared = [name for name in (*_PLAIN, "seed", "max_time") if name not in apart and runs[0].get(name) is not None]
     parts = {"differs": counts, "same": [labelled(name, runs[0][name]) for name in shared]}
     return " — ".join(f"{title}: {', '.join(words)}" for title, words in parts.items() if words)

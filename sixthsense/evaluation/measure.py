@@ -11,7 +11,7 @@ from sixthsense.core.source import seconds
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import key_errors, key_poses
+from sixthsense.evaluation.curves import key_errors
 from sixthsense.evaluation.results import QUANTITIES, Metrics
 from sixthsense.evaluation.true_identities import landmark_identities, true_identities
 from sixthsense.record.trace import STAGES
@@ -27,7 +27,7 @@ def measure(trace: Trace) -> Metrics:
     """The metrics of a run, without keys for what cannot be measured."""
     out = Metrics(outcome=trace.outcome)
     if trace.truths:
-        out |= _errors(trace) | _error_at_end(trace) | relative_errors(trace) | _of_scene(trace)
+        out |= _errors(trace) | _error_at_end(trace) | _of_scene(trace)
     return Metrics({**out, **_consistency(trace), **_relations(trace), **_record(trace), **_timing(trace)})
 
 
@@ -50,7 +50,7 @@ def _record(trace: Trace) -> dict[str, float | str]:
         if parameters is not None:  # (2, n), values and sigmas
             out |= zip((key for key in QUANTITIES if key.startswith(name)), parameters[0].tolist(), strict=True)
     if trace.outcome.startswith("explored") or trace.left:
-        out["places_left"], out["area_left_m2"] = len(trace.left), sum(place.area_m2 for place in trace.left)
+        out["places_left"] = len(trace.left)
     out["path_length_m"] = trace.path_length_m
     if trace.plans or trace.guard_stops is not None:
         out["plans"] = len(trace.plans)
@@ -79,9 +79,8 @@ def _relations(trace: Trace) -> dict[str, float]:
     if not reached.any():
         return {}
     found = metrics.relations_error(stamps, trace.scan_poses(), given.stamps[reached], given.poses[reached])
-    return {
-        "relations_trans_m_mean": float(found[0].mean()), "relations_rot_deg_mean": float(np.degrees(found[1]).mean())
-    }  # fmt: skip
+    metres, degrees = float(found[0].mean()), float(np.degrees(found[1]).mean())
+    return {"relations_trans_m_mean": metres, "relations_rot_deg_mean": degrees}
 
 
 def _errors(trace: Trace) -> dict[str, float]:
@@ -92,18 +91,12 @@ def _errors(trace: Trace) -> dict[str, float]:
         "dead_reckoning_ate_rmse_m": metrics.ate(np.array(trace.odometry), truth),
         "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
     }
-    return out | dict(zip(("touches_by_robot", "touches_by_walkers"), trace.touches or (), strict=False))
-
-
-def relative_errors(trace: Trace) -> dict[str, float]:
-    """The relative pose error over each length that the robot has driven; the trace must have truth."""
-    out: dict[str, float] = {}
     for length_m in metrics.RPE_LENGTHS_M:
-        translation, angle = metrics.relative_pose_errors(np.array(trace.estimates), np.array(trace.truths), length_m)
+        translation, angle = metrics.relative_pose_errors(estimate, truth, length_m)
         if len(angle):
             out[f"rpe_trans_m_{length_m}m"] = float(np.sqrt(np.mean(translation**2)))
             out[f"rpe_rot_deg_{length_m}m"] = float(np.degrees(np.sqrt(np.mean(angle**2))))
-    return out
+    return out | dict(zip(("touches_by_robot", "touches_by_walkers"), trace.touches or (), strict=False))
 
 
 def _consistency(trace: Trace) -> dict[str, float]:
@@ -112,9 +105,6 @@ def _consistency(trace: Trace) -> dict[str, float]:
     if trace.key_truths and len((errors := key_errors(trace))[0]):
         found = consistency([errors])
         out["pose_nees_world_mean"], out["pose_nees_effective_samples"] = found.nees, found.samples
-        poses, covs = (one[-len(errors[0]) :] for one in key_poses(trace.key_estimates))
-        truth = np.array(trace.key_truths)[-len(errors[0]) :]
-        out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs)))
     dof = sum(a.dof for a in trace.associations)
     if dof:
         out["nis_mean_per_dof"] = sum(a.nis for a in trace.associations) / dof
@@ -141,9 +131,8 @@ def _of_scene(trace: Trace) -> dict[str, float]:
     if rows:
         truth = np.array([known.landmark(identities[i]) for i in final.ids[rows].tolist()])
         covs = landmark_covariances(trace.joint_cov)[rows]
-        out["landmark_nees_mean"] = float(
-            metrics.nees_landmarks(final.landmarks[rows], truth, final.walls[rows], covs).mean()
-        )
+        nees = metrics.nees_landmarks(final.landmarks[rows], truth, final.walls[rows], covs)
+        out["landmark_nees_mean"] = float(nees.mean())
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -30,27 +31,20 @@ _METRICS_OF_END = ("wall_time_s", "realtime_factor", "landmarks", "loop_closures
 """prefixes of the metrics that need the end of a record"""
 
 
+@dataclass(eq=False, repr=False)
 class MeasuredRun:
     """A record with its metrics, which are computed on demand or read from the run's folder."""
 
-    def __init__(
-        self,
-        name: str,
-        trace: Trace,
-        metrics: Metrics | None = None,
-        folder: Path | None = None,
-        missing: Sequence[str] = (),
-    ) -> None:
-        """Wrap a record; without `metrics` they are computed at their first use."""
-        self.name = name
-        """name of the scene, log or folder"""
-        self.trace = trace
-        """record of the sensor data, estimates and plans"""
-        self.folder = folder
-        """the run's folder; None for a run in memory only"""
-        self.missing = tuple(missing)
-        """missing parts of the folder's record; `ss.replay(folder)` estimates them again"""
-        self._stated = metrics
+    name: str
+    """of the scene, log or folder"""
+    trace: Trace
+    """record of the sensor data, estimates and plans"""
+    stated: Metrics | None = None
+    """its metrics as the folder has them; without these they are computed at their first use"""
+    folder: Path | None = None
+    """the run's folder; None for a run in memory only"""
+    missing: tuple[str, ...] = ()
+    """missing parts of the folder's record; `ss.replay(folder)` estimates them again"""
 
     @property
     def metrics(self) -> Metrics:
@@ -59,9 +53,7 @@ class MeasuredRun:
         The dictionary is displayed as a table; `metrics.frame()` converts it to pandas. The metrics are computed once,
         or read from the run's folder.
         """
-        if self._stated is not None:
-            return Metrics(self._stated)
-        return Metrics(self._measured if self.trace.outcome else measure(self.trace))
+        return Metrics(self.stated or (self._measured if self.trace.outcome else measure(self.trace)))
 
     @functools.cached_property
     def _measured(self) -> Metrics:
@@ -126,8 +118,7 @@ class MeasuredRun:
     @property
     def outcome(self) -> str:
         """Why the run ended; "running" if that is unknown."""
-        stated = None if self._stated is None else self._stated.get("outcome")
-        return str(stated or self.trace.outcome) or "running"
+        return str((self.stated or Metrics()).get("outcome") or self.trace.outcome) or "running"
 
     @property
     def summary(self) -> dict[str, str]:
@@ -151,7 +142,7 @@ class MeasuredRun:
         trace, lacks, found = load_record(folder)
         if found is None:
             found = {name: value for name, value in measure(trace).items() if not name.startswith(_METRICS_OF_END)}
-        return cls(trace.name, trace, Metrics(found), folder, [part.value for part in lacks])
+        return cls(trace.name, trace, Metrics(found), folder, tuple(part.value for part in lacks))
 
     def to_bag(self, out: str | Path) -> Path:
         """Write the record as a ROS 2 bag with MCAP storage, a new folder; InputError for a run without a folder."""

@@ -61,8 +61,7 @@ def nees_world(error: Array, cov: Array) -> Array:
     `error` (K, 3) estimate minus truth, heading wrapped here; `cov` (K, 3, 3) of the same, full rank (LinAlgError, a
     ValueError, if singular). Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
-    e = np.column_stack([error[:, :2], wrap_angle(error[:, 2])])
-    return squares(e, cov)
+    return squares(np.column_stack([error[:, :2], wrap_angle(error[:, 2])]), cov)
 
 
 def squares(error: Array, cov: Array) -> Array:

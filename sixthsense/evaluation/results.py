@@ -26,9 +26,6 @@ class Quantity:
     """one short phrase"""
 
 
-TEXTS = ("outcome", "verdict")
-"""keys whose values are texts"""
-
 _GROUPS = {
     "Outcome": (
         ("outcome", "", "why the run ended"),
@@ -41,7 +38,6 @@ _GROUPS = {
         ("home_error_m", "m", "distance of the true position from the start at the end"),
         ("coverage", "1", "seen share of the visible area"),
         ("places_left", "1", "places that remained unseen"),
-        ("area_left_m2", "m²", "total area of these places"),
     ),
     "Accuracy": (
         ("ate_rmse_m", "m", "RMSE of the causal position"),
@@ -56,7 +52,6 @@ _GROUPS = {
     "Consistency": (
         ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
         ("pose_nees_effective_samples", "1", "independent samples that this correlated NEES is worth"),
-        ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
         ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),
         ("nis_mean_per_dof", "1", "NIS of the matches per degree of freedom; 1 is consistent"),
         ("discarded_share", "1", "share of the observations that the gates discarded"),

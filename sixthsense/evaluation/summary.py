@@ -20,6 +20,7 @@ _NIS = 0.5, 2.0
 """per degree of freedom; beyond, sigmas are wrong by a factor of 1.4 and more"""
 _MEANS = {"ATE m": "ate_rmse_m", "NEES": NEES, "NIS/dof": "nis_mean_per_dof", "coverage": "coverage"}
 _LINES = {
+    "unmeasured": {"map_wrong_probability": "no truth; the map is wrong with probability {:.2g}"},
     "scans": {"scans": "{:,} used", "keyframes": "{:,} of them as keyframes", "largest_gap_s": "largest gap {:.3g} s"},
     "driven": {
         "path_length_m": "{:,.1f} m", "sim_time_s": "{:,.0f} s", "area_seen_m2": "{:,.0f} m² seen",
@@ -108,7 +109,7 @@ def run_summary(metrics: Mapping[str, Any]) -> dict[str, str]:
         "map": str(metrics.get("verdict", "")),
         "scans": "" if "ate_rmse_m" in metrics else _line(metrics, "scans"),
         "driven": _line(metrics, "driven"),
-        "accuracy": _line(metrics, "accuracy") or _unmeasured(metrics),
+        "accuracy": _line(metrics, "accuracy") or _line(metrics, "unmeasured") or "no truth, no relations",
         "consistency": _consistency(metrics),
         "speed": _line(metrics, "speed"),
     }
@@ -126,13 +127,6 @@ def _outcome(metrics: Mapping[str, Any]) -> Iterator[str]:
         yield f"coverage {100.0 * metrics['coverage']:.4g} %"
     if "goal_error_m" in metrics and outcome == "goal reached":
         yield f"it stands {length(metrics['goal_error_m'])} from it"
-
-
-def _unmeasured(metrics: Mapping[str, Any]) -> str:
-    """The text on accuracy where nothing measures it."""
-    if "map_wrong_probability" in metrics:
-        return f"no truth; the map is wrong with probability {metrics['map_wrong_probability']:.2g}"
-    return "not measured: no truth, no relations"
 
 
 def _consistency(metrics: Mapping[str, Any]) -> str:

@@ -47,32 +47,27 @@ class TrueLandmarks:
 
     def landmark(self, identity: Identity) -> Array:
         """(2,) true parameters of the landmark: alpha, d of a face, normal to the side it is seen from, or x, y."""
-        return self.points[identity[1]] if identity[0] == "point" else self.line(identity)
-
-    def line(self, face: Identity) -> Array:
-        """(2,) alpha and d of a face, whose normal points to the side that it is seen from."""
-        alpha, d = self.lines[face[1]]
-        return np.array([alpha, d]) if face[0] == "front" else np.array([alpha + np.pi, -d])
+        kind, index = identity
+        if kind == "point":
+            return np.asarray(self.points[index])
+        alpha, d = self.lines[index]
+        return np.array([alpha, d]) if kind == "front" else np.array([alpha + np.pi, -d])
 
 
 def true_identities(walls: Array) -> TrueLandmarks:
     """The lines and points of the `walls` (N, 2, 2) of a scene, metres; collinear walls form one line."""
     segments = walls[np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1) > 2.0 * _SAME_M]
-    lines, count = np.empty((len(segments), 2)), 0
-    line_of = np.empty(len(segments), dtype=np.int64)
+    along = segments[:, 1] - segments[:, 0]
+    alpha = np.arctan2(along[:, 0], -along[:, 1])
+    normals = np.column_stack([np.cos(alpha), np.sin(alpha)])
+    d = np.einsum("ij,ij->i", segments[:, 0], normals)
+    first = np.arange(len(segments))  # segment of the same line
     for k, segment in enumerate(segments):
-        along = segment[1] - segment[0]
-        alpha = float(np.arctan2(along[0], -along[1]))
-        known = lines[:count]
-        off = segment @ np.array([np.cos(known[:, 0]), np.sin(known[:, 0])]) - known[:, 1]  # (2, count)
-        same = (np.abs(np.sin(alpha - known[:, 0])) < _SAME_RAD) & (np.abs(off).max(axis=0) < _SAME_M)
-        if same.any():
-            line_of[k] = int(same.argmax())
-        else:
-            line_of[k] = count
-            lines[count] = alpha, float(segment[0] @ np.array([np.cos(alpha), np.sin(alpha)]))
-            count += 1
-    return TrueLandmarks(lines[:count].copy(), segments, line_of, true_landmarks(walls))
+        off = np.abs(segment @ normals[:k].T - d[:k])  # (2, k)
+        same = (np.abs(np.sin(alpha[k] - alpha[:k])) < _SAME_RAD) & (off.max(axis=0) < _SAME_M)
+        first[k] = first[same.argmax()] if same.any() else k
+    own, line_of = np.unique(first, return_inverse=True)
+    return TrueLandmarks(np.column_stack([alpha, d])[own], segments, line_of, true_landmarks(walls))
 
 
 def identify(observations: Sequence[Observation], T_world_robot: Pose, scene: TrueLandmarks) -> list[list[Identity]]:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from sixthsense.config.errors import InputError, nearest, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array
-from sixthsense.logs.ros_messages import ODOMETRY, frame_name, pose_numbers, stamp_ns
+from sixthsense.logs.ros_messages import ODOMETRY, pose_numbers, stamp_ns
 from sixthsense.logs.text_lines import check_regular
-from sixthsense.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -128,10 +127,6 @@ class PoseTopic:
     """(N, 7), x y z qx qy qz qw"""
     covs: Array | None
     """(N, 6, 6), x y z and rotations about these axes of the parent frame; None of a type without covariance"""
-    parent: str
-    """name of the frame in which the poses are"""
-    child: str
-    """name of the frame whose poses they are; empty where the type does not say"""
 
 
 def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclude: Collection[str] = ()) -> PoseTopic:
@@ -158,30 +153,7 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclud
             covs += [one.covariance] if connection.msgtype in WITH_COVARIANCE else []
     found = np.array(covs, dtype=np.float64).reshape(-1, 6, 6) if covs else None
     poses = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    parent, child = frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
-    return PoseTopic(name, np.array(stamps, dtype=np.int64), poses, found, parent, child)
-
-
-def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[np.int64], Array]]:
-    """Read the chain of transforms from `child` to `parent` in /tf and /tf_static, the link nearest `parent` first.
-
-    Each link has stamps (N,), ns, and poses (N, 4, 4) of its frame in its parent; a static one has a single pose.
-    Raises InputError, with the frames that there are, where no chain leads from one to the other.
-    """
-    pair = FramePair(frame_name(parent), frame_name(child))
-    tree = TransformTree(pair)
-    with opened(path) as reader:
-        known = [c for c in reader.connections if c.msgtype in TRANSFORM_TYPES]
-        for connection, record_ns, raw in reader.messages(known) if known else ():
-            for error in tree.take(connection.topic, reader.deserialize(raw, connection.msgtype), record_ns):
-                raise InputError(f"{path} {connection.topic}", str(error))
-    try:
-        links = [tree.transforms(link) for link in tree.chain(pair)]
-    except ValueError as error:
-        raise InputError(f"{path} /tf", str(error)) from None
-    if all(len(link) == 1 for link in links):
-        raise InputError(path, f"found {shown_name(child)} at rest in {shown_name(parent)}", "a moving frame")
-    return [(np.array([ns for ns, _ in link], dtype=np.int64), np.array([T for _, T in link])) for link in links]
+    return PoseTopic(name, np.array(stamps, dtype=np.int64), poses, found)
 
 
 def only_topic(

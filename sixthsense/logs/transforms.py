@@ -146,11 +146,6 @@ class TransformTree:
         known = ", ".join(map(str, [*self._moving(), *sorted(self.others)][:8])) or "no transform"
         raise ValueError(f"found no way from {pair}, but {known}, allowed: frames of /tf")
 
-    def transforms(self, pair: FramePair) -> list[tuple[int, Array]]:
-        """Stamps, ns, and (4, 4) T_parent_child of a link, in the order of the records; one of a static one."""
-        link = self.links[pair.child]
-        return [(own, T) for own, _, T in link.stamped] or [(0, link.first)]
-
     def _only(self, laser: str) -> FramePair:
         """The pair of odometry where there is one chain: that of the laser, or the only one."""
         up = [(FramePair(link.parent, frame), link) for frame, link in self._up(laser)]

@@ -32,11 +32,6 @@ class Disagreement(NamedTuple):
     sigmas: Array
     """(K, 3) what wheels in general are wrong by on such a motion"""
 
-    @property
-    def whitened(self) -> Array:
-        """(K,) norm of what is off, in sigmas of wheels in general; NaN where not known."""
-        return np.asarray(np.sqrt(np.sum((self.off / self.sigmas) ** 2, axis=1)))
-
 
 def disagreement(wheels: Array | None, trajectory: Array, measured: NDArray[np.bool_]) -> Disagreement:
     """Of keyframes with poses (K, 3) by the wheels alone, None without any, and by the trajectory (K, 3)."""

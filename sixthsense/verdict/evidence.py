@@ -13,29 +13,10 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.source import seconds
 from sixthsense.logs.diagnose import Mount
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.verdict.disagreement import (
-    Disagreement,
-    Lag,
-    Mirror,
-    Turns,
-    disagreement,
-    lag,
-    mirror,
-    mount,
-    turns,
-)
-from sixthsense.verdict.views import (
-    ALL,
-    FEWEST,
-    NEXT,
-    SURFACE,
-    THROUGH,
-    compared,
-    old_pairs,
-    recent_pairs,
-    travelled,
-    views_of,
-)
+from sixthsense.verdict import disagreement as by_wheels
+from sixthsense.verdict import views as by_scans
+from sixthsense.verdict.disagreement import Disagreement, Lag, Mirror, Turns
+from sixthsense.verdict.views import ALL, FEWEST, NEXT, SURFACE, THROUGH
 from sixthsense.verdict.witnesses import Witnesses
 
 _SIDE = NEXT + 2  # keyframes on each side of a cut that tell what scans contradict there anyway
@@ -77,30 +58,30 @@ class Evidence(NamedTuple):
 def evidence_of(found: Witnesses) -> Evidence:
     """The evidence in what a run has left behind."""
     count = len(found.trajectory)
-    travel, rows = travelled(found.trajectory), np.maximum(found.keys, 0)
+    travel, rows = by_scans.travelled(found.trajectory), np.maximum(found.keys, 0)
     stamps_s = seconds((found.stamps_ns - found.stamps_ns[:1]).astype(np.float64))
     wheels = None if found.wheels is None or not len(rows) else found.wheels[rows]
     measured = found.is_measured & (found.keys >= 0)
-    off = disagreement(wheels, found.trajectory, measured)
+    off = by_wheels.disagreement(wheels, found.trajectory, measured)
     recent, old = (np.full((count, 4), np.nan) for _ in range(2))
     cut, overlap = (np.full(count, np.nan) for _ in range(2))
     returns, seen = np.full(count, np.nan), None
     pairs, by_pair = np.zeros((0, 2), np.int64), np.zeros((0, 4), np.int64)
     if found.scans:
-        views = views_of(found.scans)
+        views = by_scans.views_of(found.scans)
         returns = views.returns.astype(np.float64)
-        before, pairs = recent_pairs(travel), old_pairs(found.trajectory, travel)
-        judged, by_pair = compared(views, found.trajectory, before), compared(views, found.trajectory, pairs)
+        before, pairs = by_scans.recent_pairs(travel), by_scans.old_pairs(found.trajectory, travel)
+        judged, by_pair = (by_scans.compared(views, found.trajectory, each) for each in (before, pairs))
         recent, old = _by_keyframe(before[:, 1:], judged, count), _by_keyframe(pairs, by_pair, count)
         cut, overlap = _cuts(before, judged, count), _overlaps(before, judged, count)
-        seen = mirror(views, off) if wheels is not None else None
+        seen = by_wheels.mirror(views, off) if wheels is not None else None
     at = stamps_s[rows] if len(stamps_s) else np.zeros(count)
     late = None
     if found.wheels is not None and found.matched is None and measured.all():
-        late = lag(stamps_s, found.wheels, found.poses)
+        late = by_wheels.lag(stamps_s, found.wheels, found.poses)
     return Evidence(
         at, travel, returns, recent, cut, overlap, old, off, _ties(found, count),
-        seen, mount(off), turns(off), late, found.closures, pairs, by_pair,
+        seen, by_wheels.mount(off), by_wheels.turns(off), late, found.closures, pairs, by_pair,
     )  # fmt: skip
 
 

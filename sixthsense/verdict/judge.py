@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from sixthsense.verdict import probability as fitted
 from sixthsense.verdict.causes import causes_of, remarks_of
 from sixthsense.verdict.evidence import Evidence, evidence_of, share
-from sixthsense.verdict.probability import (
-    FEATURES,
-    keyframe_features,
-    logistic,
-    map_features,
-    noisy_or,
-    weights,
-)
+from sixthsense.verdict.probability import FEATURES
 from sixthsense.verdict.verdict import Level, Verdict
 from sixthsense.verdict.views import FEWEST, SURFACE, THROUGH, TWICE
 from sixthsense.verdict.witnesses import Witnesses
@@ -30,10 +24,10 @@ def judge(found: Witnesses) -> Verdict:
 
     A map that nothing speaks against is good if enough of its scans were compared with others; else it is not judged.
     """
-    evidence, model = evidence_of(found), weights()
-    features = keyframe_features(evidence)
-    keyframes = logistic(model["keyframes"], FEATURES, features)
-    probability = float(noisy_or(model["map"], FEATURES, map_features(evidence, features)[None])[0])
+    evidence, model = evidence_of(found), fitted.weights()
+    features = fitted.keyframe_features(evidence)
+    keyframes = fitted.logistic(model["keyframes"], FEATURES, features)
+    probability = float(fitted.noisy_or(model["map"], FEATURES, fitted.map_features(evidence, features)[None])[0])
     level: Level = "good"
     if probability >= DOUBTFUL_FROM:
         level = "broken" if probability >= BROKEN_FROM else "doubtful"
@@ -62,7 +56,7 @@ def _unjudged(evidence: Evidence, found: Witnesses) -> str:
 
 def _numbers(evidence: Evidence) -> dict[str, float]:
     """What is known of a run, by the keys of its metrics."""
-    numbers = {"verdict_disagreement_max": np.fmax.reduce(evidence.wheels.whitened, initial=np.nan)}
+    numbers: dict[str, float] = {}
     for name, found in (("recent", evidence.recent), ("old", evidence.old)):
         total = np.nansum(found, axis=0)[None]
         numbers[f"verdict_contradicted_{name}"] = share(total, THROUGH)[0]

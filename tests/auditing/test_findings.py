@@ -9,7 +9,7 @@ from auditing.test_laws import Drawn, drawn, squared
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.auditing.statistics import Findings, Score
+from sixthsense.auditing.statistics import Findings
 from sixthsense.evaluation.consistency import (
     Consistency,
     effective_number,
@@ -80,16 +80,11 @@ def test_every_number_of_the_findings_is_that_of_a_few_lines(align):
         samples = worth(squares, effective_number(squares, ones), 1)
         assert (one.factor, one.samples) == pytest.approx((value, samples))
         assert one.interval == pytest.approx(interval(value, samples, 1))
-    since = [(run.stamps_ns - run.stamps_ns[0]) / (run.stamps_ns[-1] - run.stamps_ns[0]) for run in runs]
-    at = np.concatenate(since)
-    parts = [together[(at >= k / 5) & ((at < (k + 1) / 5) | (k == 4))].mean() for k in range(5)]
-    assert found.parts == pytest.approx(parts)
 
 
 def found_with(nees, samples, ratios=(1.0, 1.0, 1.0)):
     axes = {name: Consistency(ratio, 60.0, 1) for name, ratio in zip(("x", "y", "heading"), ratios, strict=True)}
-    score = Score({0.5: 0.4, 0.9: 0.8, 0.95: 0.9}, 1.0, 0.9)
-    return Findings(400, Consistency(nees, samples), axes, (4.0,) * 5, 0.0, score)
+    return Findings(400, Consistency(nees, samples), axes, 0.0, {0.5: 0.4, 0.9: 0.8, 0.95: 0.9})
 
 
 def arrays(one):
@@ -123,8 +118,8 @@ def test_the_report_and_the_table_have_the_numbers_of_the_findings(tmp_path):
     table = audit.frame()
     assert table.index.tolist() == ["pose", *one.axes] and table.loc["pose", "nees"] == one.pose.nees
     assert table.loc["left", ["factor_low", "factor_high"]].tolist() == list(one.axes["left"].interval)
-    parts = dataclasses.replace(audit, findings=dataclasses.replace(one, parts=(math.nan, 1.5))).as_dict()["findings"]
-    assert parts["parts"] == [None, 1.5] and parts["interval"] == list(one.pose.interval)
+    lost = dataclasses.replace(audit, findings=dataclasses.replace(one, removed=math.nan)).as_dict()["findings"]
+    assert lost["removed"] is None and lost["interval"] == list(one.pose.interval)
     audit.save(tmp_path / "audit.html")
     text = (tmp_path / "audit.html").read_text(encoding="utf-8")
     assert text.index(audit.verdict) < text.index("What it rests on") < text.index("<img") < text.index("<table")

@@ -98,7 +98,7 @@ def test_errors_covariances_and_ratios_are_those_of_matrices_in_either_frame(see
     assert run.nees == pytest.approx(squares) and found.findings.pose.nees == pytest.approx(np.mean(squares))
     told, dof = found.findings, 3 if n == 2 else 6
     share = np.mean(np.array(squares) <= chi2.ppf(0.95, dof))
-    assert told.score.coverage[0.95] == share and told.factor == told.pose.nees / dof
+    assert told.coverage[0.95] == share and told.factor == told.pose.nees / dof
     assert told.pose.band == pytest.approx(chi2.ppf((0.025, 0.975), dof * told.pose.samples) / told.pose.samples)
     assert [one.factor for one in told.axes.values()] == pytest.approx(np.mean(ratios, axis=0))
 
@@ -208,3 +208,30 @@ def test_the_truth_between_two_poses_is_on_the_line_and_the_great_circle_between
     found = ss.audit((at, estimate, one.covs[:-1]), (one.stamps, one.truth)).runs[0]
     expected = [error(e, motion(t, p)) for e, t, p in zip(estimate, turns, places, strict=True)]
     np.testing.assert_allclose(found.error, expected, atol=1e-6)
+
+
+@few
+@given(SEEDS, SPACES)
+def test_the_position_errors_of_a_trajectory_before_and_after_an_alignment_are_those_of_evo(seed, n):
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+
+    one, rng = drawn(seed, n), np.random.default_rng(seed + 2)
+    away = motion(exp(rng.uniform(-2.0, 2.0, 1 if n == 2 else 3)), rng.uniform(-5.0, 5.0, n))
+    one.estimate = away @ one.estimate
+
+    def of_evo(poses):
+        spatial = np.tile(np.eye(4), (N, 1, 1))
+        spatial[:, :n, :n], spatial[:, :n, 3] = poses[:, :n, :n], poses[:, :n, n]
+        return PoseTrajectory3D(poses_se3=list(spatial), timestamps=one.stamps)
+
+    def rmse(truth, estimate):
+        metric = metrics.APE(metrics.PoseRelation.translation_part)
+        metric.process_data((truth, estimate))
+        return metric.get_statistic(metrics.StatisticsType.rmse)
+
+    truth, estimate = of_evo(one.truth), of_evo(one.estimate)
+    found = one.audit(align="all").trajectory
+    assert found.ate_m == pytest.approx(rmse(truth, estimate), abs=1e-6)
+    estimate.align(truth)
+    assert found.aligned_ate_m == pytest.approx(rmse(truth, estimate), abs=1e-6)

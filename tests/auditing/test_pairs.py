@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.auditing.pairs import power
+from sixthsense.auditing.statistics import power
 from sixthsense.config.errors import InputError
 
 COV = np.array([[64.0, 8.0, 0.0], [8.0, 9.0, 1.0], [0.0, 1.0, 1.0]]) * 1e-4

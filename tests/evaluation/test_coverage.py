@@ -9,7 +9,6 @@ from sixthsense.core.ray_casting import beams_of
 from sixthsense.evaluation.coverage import VisibleArea, _mark, coverage, visible_area
 
 CIRCLE = np.arange(360) * (2 * math.pi / 360)
-CENTRED = (0.0, 0.0, 0.0)
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> list[list[tuple[float, float]]]:
@@ -35,7 +34,7 @@ def test_a_room_behind_a_wall_does_not_count() -> None:
     area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.2, 20.0)
     assert area.square_metres == pytest.approx((4 - 0.1) * (4 - 0.1), rel=0.01)
     assert not at(area, 5, 2)
-    assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, CENTRED, 20.0, walls) == [1.0]
+    assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, 20.0, walls) == [1.0]
 
 
 def test_a_robot_sees_through_glass_and_goes_no_way_through_it() -> None:

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 from made_run import CARRIED, CORNERS, FIRST_KEY, SCANS, UNDEFINED, made_run, matrix
-from scipy.linalg import logm
 
 from sixthsense.config import merge
 from sixthsense.core.geometry import Pose
@@ -105,18 +104,11 @@ def test_errors_against_relations_are_those_of_the_final_poses_at_the_relations_
     assert not any("relations" in key for key in measure(dataclasses.replace(TRACE, relations=unreached)))
 
 
-def test_the_nees_is_that_of_each_keyframe_of_full_rank_in_the_world_and_in_the_group(found):
+def test_the_nees_is_that_of_each_keyframe_of_full_rank_in_the_world(found):
     nees = [squared(*one) for one in key_errors(TRACE.key_estimates)]
     assert found["pose_nees_world_mean"] == pytest.approx(np.mean(nees))
     whole = consistency([tuple(map(np.array, zip(*key_errors(TRACE.key_estimates), strict=True)))])
     assert found["pose_nees_effective_samples"] == pytest.approx(whole.samples)
-    invariant = []
-    for one, truth in list(zip(TRACE.key_estimates, TRACE.key_truths, strict=True))[UNDEFINED:]:
-        log, place = np.real(logm(matrix(one.pose.array()) @ np.linalg.inv(matrix(truth)))), one.pose
-        error = np.array([log[0, 2] - log[1, 0] * place.y, log[1, 2] + log[1, 0] * place.x, log[1, 0]])
-        invariant.append(squared(error, one.pose_cov))
-    assert found["pose_nees_invariant_mean"] == pytest.approx(np.mean(invariant))
-    assert abs(np.mean(invariant) - np.mean(nees)) > 1e-3
 
 
 def test_the_nis_is_per_degree_of_freedom_and_the_discarded_are_a_share_of_all_observations(found):
@@ -145,7 +137,7 @@ def test_counts_areas_and_times_are_those_of_the_record(found):
     assert found["coverage"] == coverage_of(TRACE)[1][-1]
     expected = {
         "outcome": "explored in part", "collisions": 0, "touches_by_robot": 2, "touches_by_walkers": 5,
-        "places_left": 2, "area_left_m2": 0.7 + 1.6, "landmarks": 7, "loop_closures_found": 14,
+        "places_left": 2, "landmarks": 7, "loop_closures_found": 14,
         "path_length_m": 13.7,
         "plans": 3, "plans_below_margin": 4, "plans_by_astar": 6, "guard_stops": 7, "scans": SCANS, "keyframes": KEYS,
         "wall_time_s": 2.31, "stage_ms_mean.sense": 310.0 / KEYS, "stage_ms_mean.extract": 47.0 / KEYS,

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from sixthsense.config import AssumedConfig, LaserConfig, merge
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.logs import open_log
-from sixthsense.logs.bag_file import read_poses, read_transforms
+from sixthsense.logs.bag_file import read_poses
 from sixthsense.logs.log import read_relations
 from sixthsense.logs.mrclam import true_landmarks
 from sixthsense.logs.ros_messages import spatial_covariance
@@ -96,7 +96,7 @@ def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_fra
             if k + 1 < len(way):
                 bag.scan(stamp, ranges, first=first, step=0.3, lag=sweep_ns / 4e9, low=0.1, record_ns=stamp + 7)
     found = read_poses(bag.path, "/wheels")
-    assert (found.parent, found.child, found.stamps_ns.tolist()) == ("odom", "base_footprint", stamps)
+    assert found.stamps_ns.tolist() == stamps
     expected = [[pose.x, pose.y, 0.0, *turned(pose.theta, tilted)] for pose in way]
     assert found.poses.tolist() == expected and found.covs.shape == (len(way), 6, 6)
     log = open_log(bag.path, LaserConfig())
@@ -145,9 +145,6 @@ def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_be
     log = open_log(bag.path, LaserConfig(), odometry_frames=("world", "base"))
     (x, y), yaw = product[:2, 3], math.atan2(product[1, 0], product[0, 0])
     close(log.ticks[0].odometry, Pose(x, y, yaw))
-    stamps_ns, T = read_transforms(bag.path, "world", "base")[1]
-    assert stamps_ns.tolist() == [BEGAN + k * S // 10 for k in range(3)]
-    np.testing.assert_allclose(T[0], links[1], atol=1e-9)
     ahead = links[0][:2, 0] * 0.2
     close(log.ticks[-1].odometry, Pose(x + ahead[0], y + ahead[1], yaw))
 
