@@ -17,6 +17,7 @@ from sixthsense.figures.run import Run
 from sixthsense.logs.log import Log, Relations
 from sixthsense.logs.replay_input import ReplayInput
 from sixthsense.running.runs import QUIET, replay_log, simulate
+from sixthsense.simulation.mission import mission_of
 from sixthsense.simulation.scene import Scene
 
 Figures = dict[str, Any]
@@ -35,7 +36,7 @@ def run(config: Config, scene: Scene | None = None) -> Run:
     So other work of the machine hardly counts.
     """
     with mock.patch.object(time, "perf_counter", time.thread_time):  # what the stopwatch of the stages reads
-        return simulate(config, watch=QUIET) if scene is None else simulate(config, scene, watch=QUIET)
+        return simulate(*mission_of(config, scene), watch=QUIET)
 
 
 def replay(log: Log, config: Config, relations: Relations | None = None) -> Run:

@@ -1,4 +1,4 @@
-"""Monte Carlo campaigns: many runs on many machines, one table row per run (`sixthsense campaign`, `ss.campaign`)."""
+"""Monte Carlo campaigns: many runs on many processors, one table row per run (`sixthsense campaign`, `ss.campaign`)."""
 
 from sixthsense.campaigns.call import Campaign as Campaign
 from sixthsense.campaigns.call import complete as complete

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import CancelledError, Future
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from pydantic import Field
 
-from sixthsense.campaigns.cluster import Cluster, check_workers
 from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, read_folder, save_folder
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, campaign_of, plan
+from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, campaign_of, plan, with_parts
 from sixthsense.campaigns.worker import FAILED, failed_row, run_row
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
@@ -22,7 +19,6 @@ from sixthsense.config.files import path_of
 from sixthsense.config.parts import KINDS, import_again, searched
 from sixthsense.config.section import Count, checked
 from sixthsense.config.tree import task_of
-from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import LABELS, RunTable, Sample
 from sixthsense.evaluation.results import html_of
 from sixthsense.evaluation.summary import summary
@@ -42,18 +38,16 @@ def complete(
     out: Path,
     workers: int | None = None,
     *,
-    scheduler: str | None = None,
     retry_failed: bool = False,
     progress: bool | None = None,
     say: Callable[[str], object] = lambda line: None,
 ) -> None:
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
-    They are made by `workers` processes of this machine, by default one per processor, or by the workers of a Dask
-    `scheduler`. With `retry_failed` the runs that raised are repeated. `progress` is whether a bar is shown, and `say`
-    gets a line on how many runs there are, and where. Each row is written when its run ends, also if an interrupt
-    follows. Raises InputError for the folder of another campaign, for workers that will not do, and if the scheduler is
-    lost; FolderInUseError; OSError that names a file.
+    They are made by `workers` processes of this machine, by default one per processor. With `retry_failed` the runs
+    that raised are repeated. `progress` is whether a bar is shown, and `say` gets a line on how many runs there are.
+    Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
+    campaign; FolderInUseError; OSError that names a file.
     """
     check_folder(out, campaign)
     with FolderLock(out):
@@ -65,33 +59,16 @@ def complete(
             save_folder(out, saved)
             say(f"all {len(runs)} runs are already in {out}/")
             return
-        if scheduler is None:
-            prepare(say)  # once, not by each worker
-        local = Processes(workers, partial(import_again, dict(searched)))
-        with local if scheduler is None else Cluster(scheduler) as executor:
-            if isinstance(executor, Cluster):
-                check_workers(executor.client, campaign)
-                say(f"dashboard {executor.client.dashboard_link}")
+        prepare(say)  # once, not by each worker
+        with Processes(workers, partial(import_again, dict(searched))) as executor:
             save_folder(out, saved)
             existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
             say(f"{len(runs)} runs{existing}; {executor.workers} worker{'s' * (executor.workers != 1)}")
             with progress_bar(progress, total=len(missing), desc="campaign", unit=" runs", leave=False) as bar:
-                for key, future in carry_out(executor, partial(run_row, version=__version__), missing):
-                    rows.add(_row(future, missing[key]))
+                for key, future in carry_out(executor, run_row, missing):
+                    error = future.exception()
+                    rows.add(future.result() if error is None else failed_row(missing[key], error))
                     bar.update()
-
-
-def _row(future: Future[dict[str, Any]], config: Config) -> dict[str, Any]:
-    """The row of a finished run, with the outcome "error" if its worker has failed; InputError if the scheduler has."""
-    try:
-        return future.result()
-    except (OSError, CancelledError):
-        found = "found the connection lost, the finished rows are kept"
-        raise InputError("scheduler", found, "the same command again") from None
-    except InputError:  # a worker of another version
-        raise
-    except Exception as error:
-        return failed_row(config, error)
 
 
 def campaign(
@@ -189,10 +166,12 @@ class Campaign(RunTable):
 
     def samples(self, name: str) -> list[Sample]:
         """The runs for a comparison, with their errors along their ways."""
-        frame, curves, setting = self.frame(), self._rows.curves(), functools.cache(self._setting)
+        frame, curves = self.frame(), self._rows.curves()
         found = []
         for row in frame.to_dict("records"):
-            config = merge(setting(tuple(row[axis] for axis in AXES)), {"seed": row["seed"]})
+            values = {axis: row[axis] for axis in AXES}
+            base = merge(preset(values.pop("preset")), self._fields)
+            config = merge(with_parts(base, self._fields, **values), {"seed": row["seed"]})
             metrics = {key: value for key, value in row.items() if key not in LABELS and value == value}
             found.append(Sample(name, config, partial(dict, metrics), partial(curves.get, row["config_hash"])))
         return found
@@ -203,13 +182,6 @@ class Campaign(RunTable):
         found = [curves.get(key) for key in frame["config_hash"]] if len(frame) else []
         axes = [axis for axis in AXES if axis in ALWAYS or frame[axis].nunique() > 1]
         return summary(frame, axes, [None if one is None else one["nees"].to_numpy() for one in found])
-
-    def _setting(self, axes: tuple[str, ...]) -> Config:
-        """The configuration of the runs with these values of `AXES`, with seed 0."""
-        values = dict(zip(AXES, axes, strict=True))
-        base = merge(preset(values.pop("preset")), self._fields)
-        options = {f"{parts.kind}_options": self._fields.get(f"{parts.kind}_options", {}) for parts in KINDS}
-        return merge(base, {**values, **options})
 
     def __len__(self) -> int:
         return len(self._rows.rows.read())

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
+from sixthsense.logs.runfolder import readable
 from sixthsense.loop.interrupt import terminal_blocked
 from sixthsense.record.writing import naming
 
@@ -44,10 +45,8 @@ class Rows:
         found: dict[str, Row] = {}
         if not self.file.is_file():
             return found
-        try:
+        with readable(self.file):
             lines = self.file.read_bytes().split(b"\n")
-        except OSError as error:
-            raise InputError(self.file, f"cannot be read ({error.strerror})", "rows of runs") from None
         for number, line in enumerate(lines[:-1], start=1):
             try:
                 row = json.loads(line)

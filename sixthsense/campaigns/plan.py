@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from sixthsense.config import Config, Section, as_table, merge, preset
+from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
 from sixthsense.config.parts import FILTERS, KINDS, options_class
@@ -89,12 +89,6 @@ def with_parts(base: Config, fields: Mapping[str, Any], **names: str) -> Config:
     return with_checked_parts(merge(base, table))
 
 
-def own_parts(settings: Iterable[Config]) -> list[tuple[str, str]]:
-    """Kind and name of each part in some configurations that is not shipped."""
-    found = ((parts, getattr(one, parts.kind)) for one in settings for parts in KINDS)
-    return sorted({(parts.kind, name) for parts, name in found if name not in parts.shipped})
-
-
 def plan(campaign: CampaignPlan) -> dict[str, Config]:
     """The configurations of all runs of a campaign by their hashes, ordered by seed: settings progress equally.
 
@@ -103,21 +97,14 @@ def plan(campaign: CampaignPlan) -> dict[str, Config]:
     count = math.prod(map(len, (*campaign.values.values(), campaign.seeds)))
     if count > MOST_RUNS:
         raise InputError("campaign", f"found {count} runs", f"at most {MOST_RUNS}")
-    tables = [(setting, as_table(setting)) for setting in campaign.settings()]
-    return {
-        _hash({**table, "seed": seed}): setting.model_copy(update={"seed": seed})
-        for seed in campaign.seeds
-        for setting, table in tables
-    }
+    settings = campaign.settings()
+    runs = (setting.model_copy(update={"seed": seed}) for seed in campaign.seeds for setting in settings)
+    return {config_hash(run): run for run in runs}
 
 
 def config_hash(config: Config) -> str:
     """Hash of a configuration: the first 16 hexadecimal digits of the SHA-256 of all its fields."""
-    return _hash(as_table(config))
-
-
-def _hash(table: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(as_table(config), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> str:
@@ -152,25 +139,11 @@ def seed_range(text: str) -> range:
 
 
 def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge nested tables; later values override, a value of None removes the field. Axes and seed are left out."""
-    fields: dict[str, Any] = {}
-
-    def update(target: dict[str, Any], table: Mapping[str, Any]) -> None:
-        for key, value in table.items():
-            name, value = (
-                key.replace("-", "_"),
-                value.model_dump(exclude_unset=True) if isinstance(value, Section) else value,
-            )
-            if isinstance(value, Mapping):
-                update(target.setdefault(name, {}), value)
-            elif value is None:
-                target.pop(name, None)
-            else:
-                target[name] = list(value) if isinstance(value, tuple) else value
-
+    """What nested tables state; later values override, None removes a field. Axes and seed are left out."""
+    found = preset()
     for table in tables:
-        update(fields, {k: value for k, value in table.items() if k not in (*AXES, "seed")})
-    return fields
+        found = merge(found, {name: value for name, value in table.items() if name not in (*AXES, "seed")})
+    return found.model_dump(mode="json", exclude_unset=True, exclude_none=True, exclude={*AXES, "seed"})
 
 
 def campaign_of(axes: Mapping[str, Iterable[str]], seeds: Iterable[int], *tables: Mapping[str, Any]) -> CampaignPlan:

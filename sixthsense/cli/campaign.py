@@ -59,8 +59,6 @@ class Campaign(Options):
     """Folder to search for parts of your own, also for those that only a file names. A part is code that is run."""
     workers: Annotated[int | None, Field(ge=1, le=1024)] = None
     """Processes of this machine; by default one per processor."""
-    scheduler: Annotated[str | None, Arg("ADDRESS")] = None
-    """Run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786."""
 
     def run(self, flags: Table) -> int:
         """Make the runs of a campaign that are missing in its folder."""
@@ -78,10 +76,7 @@ class Campaign(Options):
         runs = plan(campaign)
         interrupted = False
         try:
-            complete(
-                campaign, runs, out, self.workers,
-                scheduler=self.scheduler, retry_failed=self.retry_failed, say=announce,
-            )  # fmt: skip
+            complete(campaign, runs, out, self.workers, retry_failed=self.retry_failed, say=announce)
         except KeyboardInterrupt:
             interrupted = True
         return _finish(out, runs, interrupted)
@@ -115,8 +110,6 @@ def _checked_folder(options: Campaign, table: Table) -> Path:
         raise InputError("seeds", "found nothing", "FIRST:LAST, such as 0:100")
     if options.out is None:
         raise InputError("out", "found nothing", "a folder to write")
-    if options.workers is not None and options.scheduler is not None:
-        raise InputError("workers", "found with `scheduler`, which has its own workers", "one of the two")
     return options.out
 
 

@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -86,8 +87,6 @@ class WithPriorMap(Common):
     """With --prior-map: start in its frame, m and rad. By default the start of the scene or log."""
     pose_sigma: Annotated[tuple[float, float, float] | None, Arg("SX SY ST")] = None
     """With --prior-map: sigmas of that pose, m and rad. 0 by default: known exactly."""
-    lost: bool = False
-    """With --prior-map: the robot does not know where it is. It drives until it has found out."""
 
     def prior_start(self) -> PriorStart | None:
         """The prior map and the start in it, if there is one; InputError for what is not allowed."""
@@ -96,7 +95,7 @@ class WithPriorMap(Common):
         if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
             found = f"{self.config} is of a run with the prior map {note.get('name')}"
             raise InputError("config", found, "with `prior_map`")
-        return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost)
+        return prior_start(self.prior_map, self.pose, self.pose_sigma)
 
 
 def read_command(command: type[Options], parser: Parser, words: Sequence[str]) -> tuple[Options, Table]:
@@ -141,22 +140,18 @@ def run_folder(
     stem: str,
     replayed: Mapping[str, str] | None = None,
     prior: PriorStart | None = None,
-) -> RunFolder:
+) -> AbstractContextManager[RunFolder | None]:
     """The folder given by --out, or a new one under runs/ with a name that begins with `stem`."""
-    from sixthsense.record.folder import RunFolder
     from sixthsense.record.writing import FolderInUseError
+    from sixthsense.running.runs import reserved
 
-    for out in numbered(stem) if options.out is None else (options.out,):
-        try:
-            folder = RunFolder(out, config, options.overwrite, replayed, None if prior is None else prior.note())
-        except FolderInUseError:  # a run that started at the same moment has taken it
-            if options.out is not None:
-                raise
-        else:
-            for line in folder.notes:
-                announce(f"note: {line}")
-            return folder
-    raise AssertionError("numbers do not end")
+    out = options.out or next(numbered(stem))
+    try:
+        return reserved(out, config, options.overwrite, replayed, prior, announce)
+    except FolderInUseError:  # a run that started at the same moment has taken it
+        if options.out is not None:
+            raise
+        return run_folder(options, config, stem, replayed, prior)
 
 
 def numbered(stem: str) -> Iterator[Path]:

@@ -44,7 +44,7 @@ class Live(OnNetwork, WithPriorMap):
     """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
 
     base: ClassVar[str] = "log"
-    refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map_unknown", "world", "lost")
+    refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map_unknown", "world")
 
     scan: Annotated[str, Arg("TOPIC")] = "/scan"
     """Topic of the laser. Messages sensor_msgs/LaserScan."""
@@ -71,7 +71,7 @@ class Live(OnNetwork, WithPriorMap):
     def run(self, flags: Table) -> int:
         """Run SLAM on a robot."""
         for name in Live.refused:
-            if name in flags or (name == "lost" and self.lost):
+            if name in flags:
                 raise InputError(name, "found on a robot", "with run")
         network = self.network()
         from sixthsense.api import with_task

@@ -2,8 +2,6 @@
 
 import difflib
 from collections.abc import Iterable
-from importlib import import_module
-from typing import Any
 
 _LONGEST = 80  # a longer text is no misspelt name, and comparing it takes time
 
@@ -70,11 +68,3 @@ def did_you_mean(found: object, known: Iterable[str]) -> str:
 def installing(extra: str) -> str:
     """How to install an extra; from a clone, until there is a release."""
     return f"install it with pip install -e '.[{extra}]' in the clone of the repository"
-
-
-def import_extra(module: str, extra: str) -> Any:
-    """A module that an extra installs; InputError, which says how to install it, if it is missing."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise InputError(module, f"cannot be imported ({error}), {installing(extra)}") from None

@@ -142,7 +142,7 @@ class MeasuredRun:
         trace, lacks, found = load_record(folder)
         if found is None:
             found = {name: value for name, value in measure(trace).items() if not name.startswith(_METRICS_OF_END)}
-        return cls(trace.name, trace, Metrics(found), folder, tuple(part.value for part in lacks))
+        return cls(trace.name, trace, Metrics(found), folder, lacks)
 
     def to_bag(self, out: str | Path) -> Path:
         """Write the record as a ROS 2 bag with MCAP storage, a new folder; InputError for a run without a folder."""

@@ -29,7 +29,7 @@ from sixthsense.logs.log import Log
 from sixthsense.logs.text_lines import check_regular
 
 FILE = "record.mcap"
-FORMAT = 3
+FORMAT = 4
 TICK = np.dtype([
     ("odometry", "<f8", (3,)), ("is_unmeasured", "?"), ("increment_cov", "<f8", (3, 3)), ("truth", "<f8", (3,)),
     ("log_stamp_s", "<f8"),

@@ -66,8 +66,8 @@ def _is_compiling() -> bool:
 
 
 @contextlib.contextmanager
-def handled(*names: str) -> Iterator[Signals]:
-    """Handle the signals of these names in the block, but for those that are ignored, as SIGHUP is under nohup.
+def handled(*numbers: int) -> Iterator[Signals]:
+    """Handle the signals of these numbers in the block, but for those that are ignored, as SIGHUP is under nohup.
 
     In a block within, and in another thread than the main one, nothing changes.
     """
@@ -83,7 +83,6 @@ def handled(*names: str) -> Iterator[Signals]:
         elif issubclass(unraisable.exc_type, KeyboardInterrupt):
             _signals.send_again(_signals.number)
 
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
     taken = [number for number in numbers if signal.getsignal(number) not in (signal.SIG_IGN, None)]
     before = {number: signal.signal(number, _signals.handle) for number in taken}
     report, sys.unraisablehook = sys.unraisablehook, dropped
@@ -98,7 +97,7 @@ def handled(*names: str) -> Iterator[Signals]:
 
 def command_signals() -> contextlib.AbstractContextManager[Signals]:
     """Handle Ctrl-C, SIGTERM and SIGHUP in the block, which is a command."""
-    return handled("SIGINT", "SIGTERM", "SIGHUP")
+    return handled(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextlib.contextmanager
@@ -108,7 +107,7 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     So does one in a later block within two seconds: pressing twice ends a loop over many runs. Outside of commands the
     only signal is Ctrl-C. Outside of the main thread no signal can be handled.
     """
-    with handled("SIGINT"):
+    with handled(signal.SIGINT):
         before, _signals.is_deferred = _signals.is_deferred, True
         try:
             yield lambda: _signals.number != 0
@@ -132,9 +131,6 @@ def terminal_blocked() -> Iterator[None]:
 
     A terminal sends them to all processes of the group, and only the one that has started the others may end them.
     """
-    if not hasattr(signal, "pthread_sigmask"):  # on Windows
-        yield
-        return
     from multiprocessing import resource_tracker  # here, since most commands start no process
 
     resource_tracker.ensure_running()  # starting it with the first process would unblock the signal

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import os
 import shutil
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from sixthsense.config import Config, save_config
 from sixthsense.config.errors import InputError, PartError
+from sixthsense.config.files import read_table
 from sixthsense.logs.runfolder import FILE
 from sixthsense.record.exports import NAMES, write_files
 from sixthsense.record.stream import RecordWriter
@@ -108,40 +107,24 @@ class RunFolder:
     def finish(self) -> list[str]:
         """Rename the folder to `OUT`, replacing an existing run, and release it.
 
-        The old run and the new one exchange their names in one step, where the system can. Files of the old one that no
-        run writes are kept in `OUT`; returns their names. Raises InputError if `OUT` has meanwhile become something
-        that may not be replaced; the new run then stays in `OUT.partial`.
+        Files of the old one that no run writes are kept in `OUT`; returns their names. Raises InputError if `OUT` has
+        meanwhile become something that may not be replaced; the new run then stays in `OUT.partial`.
         """
         try:
             self._check_out()
         except InputError as error:
             raise InputError(error.where, error.found, f"{error.allowed}; the run is in {self.partial}") from None
-        kept: list[str] = []
-        if not os.path.lexists(self.out):
-            self.partial.rename(self.out)
-        else:
-            old = self.partial if _exchanged(self.partial, self.out) else self._moved_aside()
+        kept, old = list[str](), self._numbered()
+        if os.path.lexists(self.out):
+            self.out.rename(old)
             kept = sorted(entry.name for entry in old.iterdir() if entry.name not in _OWN)
-            for name in kept:
-                (old / name).rename(self.out / name)
-            shutil.rmtree(old, ignore_errors=True)
+        self.partial.rename(self.out)
+        for name in kept:
+            (old / name).rename(self.out / name)
+        shutil.rmtree(old, ignore_errors=True)
         self._lock.folder = self.out
         self._lock.release()
         return kept
-
-    def _moved_aside(self) -> Path:
-        """Where the old run is, after it was moved aside for the new one."""
-        old = self._numbered()
-        self.out.rename(old)
-        self.partial.rename(self.out)
-        return old
-
-
-def _exchanged(one: Path, other: Path) -> bool:
-    """Exchange the names of two folders in one step; False where the system cannot, as elsewhere than on Linux."""
-    rename = getattr(ctypes.CDLL(None), "renameat2", None)
-    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <stdio.h>
-    return rename is not None and rename(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
 
 
 def _is_just_made(folder: Path) -> bool:
@@ -165,9 +148,8 @@ def reason_not_a_run(folder: Path) -> str:
         return "is a file"
     file = folder / "config.toml"
     try:
-        text = "" if file.is_symlink() or not file.is_file() else file.read_text(encoding="utf-8-sig")
-        is_own = isinstance(tomllib.loads(text)["versions"]["sixthsense"], str)
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        is_own = not file.is_symlink() and isinstance(read_table(file)["versions"]["sixthsense"], str)
+    except (InputError, LookupError, TypeError):
         is_own = False
     return "" if is_own else "holds no config.toml of a run"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,29 +16,23 @@ from sixthsense.config.section import checked
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Pose
 from sixthsense.logs.runfolder import FILE, Message, read_messages, readable, ticks_of
-from sixthsense.record.tables import end_arrays, read_end, read_keyframes, read_scans, scene_of, verdict_of
+from sixthsense.record.fields import read_end, read_fields, read_keyframes, read_scans
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
 from sixthsense.slam.prior_map import KeyScans, PriorMap, PriorStart
-from sixthsense.verdict.verdict import Verdict
 
-_OF_MAP = ("landmarks", "joint_cov", "records", "grid.hits", "grid.passes", "grid.seen")
-
-
-class RecordPart(enum.Enum):
-    """A part of the record that a run folder may lack; its value describes it to a user."""
-
-    END = "the run's end: outcome, counts, clocks, final trajectory and landmarks"
-    """missing from a run that was stopped; each keyframe keeps the pose estimated at its time"""
-    GRID = "the grid map"
+END = "the run's end: outcome, counts, clocks, final trajectory and landmarks"
+"""missing from a run that was stopped; each keyframe keeps the pose estimated at its time"""
+GRID = "the grid map"
 
 
 class Loaded(NamedTuple):
     """A record that was read back."""
 
     trace: Trace
-    lacks: tuple[RecordPart, ...]
+    lacks: tuple[str, ...]
+    """parts of the record that are not there, `END` and `GRID`"""
     metrics: Mapping[str, Any] | None
     """as the run computed them at its end; None of one that was stopped"""
 
@@ -56,8 +49,7 @@ def load_record(folder: Path | str) -> Loaded:
     config, file = load_config(folder / "config.toml"), folder / FILE
     messages, _ = read_messages(file)
     with readable(file):
-        begin = messages[0].value
-        trace = Trace(config, scene_of(begin["scene"]), float(begin["radius_m"]))
+        trace = Trace(config, **read_fields(messages[0].value["fields"]))
         channels: dict[str, list[Message]] = {}
         for message in messages:
             channels.setdefault(message.channel, []).append(message)
@@ -67,19 +59,15 @@ def load_record(folder: Path | str) -> Loaded:
         trace.prior_map = prior_map_of(folder / "config.toml")
         trace.name = absolute(folder).name.removesuffix(".partial")
         if "end" not in channels:
-            return Loaded(_stopped(trace), (RecordPart.END, RecordPart.GRID), None)
+            return Loaded(_stopped(trace), (END, GRID), None)
         table = channels["end"][0].value
-        arrays = {name: np.concatenate([one.value for one in found]) for name, found in channels.items()
-                  if isinstance(found[0].value, np.ndarray)}  # fmt: skip
+        arrays = {
+            name: np.concatenate([one.value for one in found])
+            for name, found in channels.items()
+            if name.startswith("array.")
+        }
         read_end(trace, table, arrays)
-    return Loaded(trace, () if trace.grid is not None else (RecordPart.GRID,), table["metrics"])
-
-
-def read_verdict(folder: Path) -> Verdict | None:
-    """The verdict on the run in a folder, None of one that was stopped; InputError for a damaged record."""
-    messages, _ = read_messages(folder / FILE)
-    with readable(folder / FILE):
-        return verdict_of(messages[-1].value) if messages[-1].channel == "end" else None
+    return Loaded(trace, () if trace.grid is not None else (GRID,), table["metrics"])
 
 
 def _read_stream(trace: Trace, channels: Mapping[str, list[Message]]) -> None:
@@ -92,9 +80,7 @@ def _read_stream(trace: Trace, channels: Mapping[str, list[Message]]) -> None:
     read_scans(trace, np.concatenate([message.value for message in channels["estimate"]]))
     if "keyframe" in channels:
         trace.key_stamps_ns = [message.stamp_ns for message in channels["keyframe"]]
-        trace.walls_found = [message.value for message in channels["keyframe.walls"]]
-        rows = np.concatenate([message.value for message in channels["keyframe"]])
-        read_keyframes(trace, rows, [message.value for message in channels["keyframe.observations"]])
+        read_keyframes(trace, [message.value for message in channels["keyframe"]])
 
 
 def _stopped(trace: Trace) -> Trace:
@@ -118,17 +104,13 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     if not (folder / "config.toml").is_file():
         raise InputError(folder, f"found {instead_of(folder, 'config.toml')}", "the folder of a run")
     trace, lacks, _ = load_record(folder)
-    if RecordPart.END in lacks:
+    if END in lacks:
         raise InputError(folder, "found a run that was stopped", "the folder of a run that has ended")
     final, cov = trace.final, trace.joint_cov[3:, 3:]
     if not len(final.ids):
         raise InputError(folder, "found a map without landmarks", "one by the front end of landmarks")
     if fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK):
         raise InputError(file, f"found {fault}", "a covariance")
-    digest = hashlib.sha256()
-    for channel, array in end_arrays(trace):
-        if channel in _OF_MAP:
-            digest.update(array.tobytes())
     kept = {i: trace.records[i] for i in final.ids.tolist()}
     extents = np.array([record.extent for record in kept.values()])
     landmarks = LandmarkPrior(final.ids, final.landmarks, final.walls, cov, extents)
@@ -136,6 +118,9 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     evidence = Submap(np.zeros((0, 2), np.int64), none, none, np.zeros(0, np.bool_), np.zeros((0, 3), np.int16))
     if trace.grid is not None:
         evidence = trace.grid.submap()
+    counts = np.array([(one.kind, one.observations, one.first_scan, one.last_scan) for one in kept.values()])
+    arrays = (final.ids, final.walls, final.landmarks, cov, counts, extents, *evidence)
+    digest = hashlib.sha256(b"".join(array.tobytes() for array in arrays))
     name, cell_m = folder.resolve().name, trace.config.grid.cell_m
     return PriorMap(
         name, digest.hexdigest(), landmarks, kept, evidence, cell_m, KeyScans.of(trace.key_scans, trace.trajectory)
@@ -146,24 +131,21 @@ def prior_start(
     folder: Path | str | None,
     pose: Sequence[float] | None,
     sigma: Sequence[float] | None,
-    lost: bool = False,
 ) -> PriorStart | None:
-    """The prior map in `folder` and the start in it, None without a folder. A robot that is `lost` has no pose.
+    """The prior map in `folder` and the start in it, None without a folder.
 
     Raises InputError for a pose or sigmas that are not allowed, and without a folder; InputError as `read_prior_map`.
     """
-    given = [name for name, value in (("pose", pose), ("pose_sigma", sigma)) if value is not None]
-    if folder is None:
-        for name in ("lost",) if lost else given:
-            raise InputError(name, "found without `prior_map`", "with it")
-        return None
-    if lost and given:
-        raise InputError(given[0], "found with `lost`", "one of both")
-    place, spread = (
+    given = [
         None if value is None else checked(name, tuple[float, float, float], value)
         for name, value in (("pose", pose), ("pose_sigma", sigma))
-    )
+    ]
+    if folder is None:
+        if given != [None, None]:
+            raise InputError("pose_sigma" if pose is None else "pose", "found without `prior_map`", "with it")
+        return None
+    place, spread = given
     if spread is not None and min(spread) < 0.0:
         raise InputError("pose_sigma", f"found {' '.join(map(str, spread))}", "at least 0")
     there = None if place is None else Pose(*place)
-    return PriorStart(read_prior_map(folder), there, spread or (0.0, 0.0, 0.0), lost)
+    return PriorStart(read_prior_map(folder), there, spread or (0.0, 0.0, 0.0))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.config.version import __version__
 from sixthsense.core.source import Tick
 from sixthsense.logs.runfolder import CLOSURE, FORMAT, TICK, observation_rows
-from sixthsense.record.tables import end_arrays, end_table, keyframe_row, scan_row, scene_table
+from sixthsense.record.fields import BEGIN, end_table, keyframe_table, packed, scan_row
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import naming
 
@@ -54,12 +54,14 @@ class RecordWriter:
         with self._writing(trace):
             stamp_ns = max([0, *trace.stamps_ns[-1:], *trace.key_stamps_ns[-1:]])
             self._add_new(trace, stamp_ns)
-            for channel, array in end_arrays(trace):
-                step = max(1, _CHUNK_BYTES // max(1, array[:1].nbytes))
-                for first in range(0, max(1, len(array)), step):
+            arrays: dict[str, NDArray[Any]] = {}
+            table = end_table(trace, metrics, arrays)
+            for channel, array in arrays.items():
+                step = max(1, _CHUNK_BYTES // array[:1].nbytes)
+                for first in range(0, len(array), step):
                     self._add(channel, stamp_ns, array[first : first + step])
                     self._flush()
-            self._add("end", stamp_ns, end_table(trace, metrics))
+            self._add("end", stamp_ns, table)
         self.close()
 
     def close(self) -> None:
@@ -80,8 +82,8 @@ class RecordWriter:
                 # No chunk ends within a tick: only `_flush` ends one.
                 self._writer = Writer(self._stream, chunk_size=1 << 62, index_types=IndexType.CHUNK)
                 self._writer.start("", f"sixthsense {__version__}")
-                begin = {"format": FORMAT, "radius_m": trace.radius_m, "scene": scene_table(trace.scene)}
-                self._add("run", 0, begin)
+                begin = packed({name: getattr(trace, name) for name in BEGIN})
+                self._add("run", 0, {"format": FORMAT, "fields": begin})
             try:
                 yield
             except OSError:
@@ -116,10 +118,7 @@ class RecordWriter:
     def _add_new(self, trace: Trace, stamp_ns: int) -> None:
         """Record what the trace has gained: paths at this stamp, keyframes and scans at their own."""
         for k in range(self._counts["keyframe"], len(trace.key_stamps_ns)):
-            at_ns = trace.key_stamps_ns[k]
-            self._add("keyframe", at_ns, keyframe_row(trace, k))
-            self._add("keyframe.observations", at_ns, observation_rows(trace.associations[k].observations))
-            self._add("keyframe.walls", at_ns, trace.walls_found[k])
+            self._add("keyframe", trace.key_stamps_ns[k], keyframe_table(trace, k))
         for k in range(self._counts["estimate"], len(trace.stamps_ns)):
             self._add("estimate", trace.stamps_ns[k], scan_row(trace, k))
         for channel, paths in (("plan", trace.plans), ("tour", trace.tours)):
@@ -144,7 +143,7 @@ class RecordWriter:
 
 
 def _json(value: Any) -> bytes:
-    return json.dumps(value, default=lambda array: array.tolist()).encode()
+    return json.dumps(value).encode()
 
 
 def _columns(rows: NDArray[Any]) -> Any:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,12 +47,11 @@ class Stopwatch:
         """per stage, milliseconds in the whole run"""
         self._row: dict[str, float] = {}
 
-    def stage(self, name: str) -> AbstractContextManager[None]:
-        """Add the time from now to the end of the `with` block to a stage."""
-        return _Stage(self, name)
-
-    def measured(self, name: str, began: float) -> None:
-        """Add the time since `began`, s, to a stage. The stage "sense" includes waiting for a robot's messages."""
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of a block that ends without an error to a stage; "sense" waits for a robot's messages, too."""
+        began = time.perf_counter()
+        yield
         elapsed = 1e3 * (time.perf_counter() - began)
         self._row[name] = self._row.get(name, 0.0) + elapsed
         self.totals[name] += elapsed
@@ -66,22 +65,6 @@ class Stopwatch:
     def keyframe_ms(self) -> Array:
         """(K,) processing time of each keyframe without sensing, milliseconds."""
         return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in self.rows])
-
-
-class _Stage:
-    """Times a stage; each tick enters several, and a generator takes twice as long."""
-
-    __slots__ = ("_began", "_name", "_watch")
-
-    def __init__(self, watch: Stopwatch, name: str) -> None:
-        self._watch, self._name, self._began = watch, name, time.perf_counter()
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self._watch.measured(self._name, self._began)
 
 
 @dataclass(slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,18 +16,6 @@ if TYPE_CHECKING:
 
 _BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far, {remaining} left"
 _ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
-
-
-def in_notebook() -> bool:
-    """Whether the code runs in a Jupyter kernel."""
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    return shell is not None and "IPKernelApp" in shell.config
-
-
-def is_interactive() -> bool:
-    """Whether the output is a notebook or a terminal."""
-    return in_notebook() or sys.stderr.isatty()
 
 
 class Bar(NamedTuple):
@@ -101,13 +88,9 @@ def progress_bar(shown: bool | None, **options: Any) -> Any:
 
     TQDM_DISABLE=1 in the environment hides all bars.
     """
-    hidden = os.environ.get("TQDM_DISABLE", "") not in ("", "0")  # tqdm's notebook bars ignore it
-    if hidden or not (is_interactive() if shown is None else shown):
-        from tqdm import tqdm
-
-        return tqdm(disable=True, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # without ipywidgets tqdm warns and falls back to text
-        from tqdm.auto import tqdm as auto
+        from tqdm.auto import tqdm
 
-    return auto(**options)
+    is_hidden = shown is False or os.environ.get("TQDM_DISABLE", "") not in ("", "0")  # notebook bars ignore it
+    return tqdm(disable=True if is_hidden else None if shown is None else False, **options)

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
     from sixthsense.simulation.mission import Mission
-    from sixthsense.simulation.scene import Scene
     from sixthsense.slam.prior_map import PriorStart
 
 
@@ -55,37 +54,33 @@ def reserved(
     overwrite: bool = False,
     replayed: Mapping[str, str] | None = None,
     prior: PriorStart | None = None,
+    say: Callable[[str], object] | None = None,
 ) -> AbstractContextManager[RunFolder | None]:
-    """The folder for a run, as `RunFolder` reserves it, or None where there is to be none."""
+    """The folder for a run, as `RunFolder` reserves it, or None without one; its notes go to `say`, or are warnings."""
     if out is None:
         return contextlib.nullcontext()
     from sixthsense.record.folder import RunFolder
 
     folder = RunFolder(path_of("out", out), config, overwrite, replayed, None if prior is None else prior.note())
     for note in folder.notes:
-        warnings.warn(note, stacklevel=3)
+        (say or functools.partial(warnings.warn, stacklevel=3))(f"note: {note}")
     return folder
 
 
 def simulate(
     config: Config,
-    scene: Scene | Mission | None = None,
+    task: Mission,
     folder: RunFolder | None = None,
     watch: RunHooks = QUIET,
     prior: PriorStart | None = None,
 ) -> Run:
-    """Simulate `config.scene`, with `scene` as of `loop.run`, and keep the run in `folder`, if there is one.
+    """Simulate a task, and keep the run in `folder`, if there is one.
 
-    With `prior` the robot begins with the map of an earlier run. Raises InputError for a scene, start or goal that will
-    not do, and for a prior map that will not; OSError, naming the file, for one that cannot
-    be written.
+    With `prior` the robot begins with the map of an earlier run. Raises InputError for a prior map that cannot be used;
+    OSError, naming the file, for one that cannot be written.
     """
     from sixthsense.loop import run as loop
-    from sixthsense.simulation.mission import Mission, mission_of
 
-    task = scene
-    if not isinstance(task, Mission):
-        config, task = mission_of(config, task)
     name = task.scene.name
     bar = progress(f"{name}, {config.task}", config.max_time, watch.realtime, watch.progress, seen_area)
     return _watched(lambda hook: loop.run(config, hook, task, prior), name, config, bar, folder, watch)

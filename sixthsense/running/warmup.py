@@ -14,11 +14,7 @@ from sixthsense.config import Config, merge
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.loop.interrupt import deferred_interrupt
-from sixthsense.loop.run import recorded_drive
-from sixthsense.navigation import make_navigator
-from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.pilot import Pilot
-from sixthsense.record.trace import Trace
+from sixthsense.loop.run import run
 from sixthsense.simulation.scene import Scene
 from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
@@ -67,11 +63,9 @@ def warm_up() -> None:
     """Compile the hot loops of a robot that explores with landmarks, or load them compiled: a run of 3 s."""
     from sixthsense.evaluation.measure import measure  # here, since a run that begins need not wait for it
 
-    config, rng = Config(max_time=3.0), np.random.default_rng(0)
+    config = Config(max_time=3.0)
     scene = Scene("room", WALLS, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
-    navigator = make_navigator(config, Pose(), np.zeros((0, 2)), (-3.0, -3.0, 3.0, 3.0), 0.2, rng, rng)
-    pilot = Pilot(navigator, Guard(config, 0.2))
-    measure(recorded_drive(World(WALLS, Pose(), 0.2, config, rng), Pose(), pilot, Trace(config, scene, 0.2)))
+    measure(run(config, scene=scene))
 
 
 @functools.cache

@@ -43,7 +43,6 @@ def test_every_example_is_a_file_of_at_most_40_lines():
 
 
 def test_an_estimator_of_one_file_is_checked_run_replayed_compared_and_sent_to_the_workers_of_a_campaign(lab):
-    pytest.importorskip("distributed")
     from fading import Fading
 
     assert testing.check_estimator(Fading).kept
@@ -83,7 +82,6 @@ SEAMS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SEAMS)
 def test_the_example_of_each_seam_is_checked_run_replayed_compared_and_sent_to_the_workers_of_a_campaign(kind, lab):
-    pytest.importorskip("distributed")
     path, check, task = SEAMS[kind]
     verdicts = check(path)
     assert verdicts.kept, verdicts

@@ -4,11 +4,11 @@ import pytest
 
 
 class Threads(ThreadPoolExecutor):
-    """Two threads of this process, so that a campaign begins at once."""
+    """A thread of this process in place of two, so that a campaign begins at once."""
 
     workers = 2
 
 
 @pytest.fixture
 def nearby(monkeypatch):
-    monkeypatch.setattr("sixthsense.campaigns.call.Processes", lambda *_: Threads(2))
+    monkeypatch.setattr("sixthsense.campaigns.call.Processes", lambda *_: Threads(1))

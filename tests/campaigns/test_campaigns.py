@@ -3,9 +3,7 @@ import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import CancelledError, Future
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -13,10 +11,8 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.campaigns import CampaignPlan, CampaignRows, worker
-from sixthsense.campaigns.call import _row
-from sixthsense.campaigns.plan import config_hash, plan
-from sixthsense.config.errors import InputError
+from sixthsense.campaigns import CampaignRows, worker
+from sixthsense.campaigns.plan import config_hash
 from sixthsense.evaluation.curves import curves
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -24,11 +20,6 @@ pytestmark = pytest.mark.usefixtures("compiled", "here")
 SHORT = ("--task", "tour", "--max-time", "4")
 FIELDS = {"task": "tour", "max_time": 4.0}
 IDENTITY = ["scene", "preset", "estimator", "front_end", "extractor", "place_search", "planner", "explorer", "seed"]
-
-
-def campaign(seeds=(0, 1), **values):
-    axes = {"scene": ("rectangle",), "estimator": ("ekf",), "preset": ("default",), "planner": ("astar",)}
-    return CampaignPlan({**axes, **values}, seeds, FIELDS)
 
 
 def run_command(*args: str) -> int:
@@ -43,27 +34,9 @@ def test_a_run_that_raises_is_a_row_that_says_so_in_one_line(monkeypatch):
         raise RuntimeError("first line\nsecond line")
 
     monkeypatch.setattr(worker, "_metrics", broken)
-    found = worker.run_row(ss.preset(scene="rectangle", seed=5), ss.__version__)
+    found = worker.run_row(ss.preset(scene="rectangle", seed=5))
     assert (found["outcome"], found["error"]) == ("error", "RuntimeError: first line second line")
     assert found["seed"] == 5 and found["config_hash"] == config_hash(ss.preset(scene="rectangle", seed=5))
-
-
-def test_a_lost_scheduler_is_told_and_a_lost_worker_is_a_row():
-    from distributed.scheduler import KilledWorker
-
-    run = next(iter(plan(campaign()).values()))
-
-    def row_after(error):
-        future = Future()
-        future.set_exception(error)
-        return _row(future, run)
-
-    found = row_after(KilledWorker("a task", SimpleNamespace(address="b"), 3))  # type: ignore[arg-type]
-    assert found["outcome"] == "error" and found["error"].startswith("KilledWorker: ")
-    assert row_after(ImportError("no such\nmodule"))["error"] == "ImportError: no such module"
-    for error in (CancelledError(), OSError("closed")):
-        with pytest.raises(InputError, match="connection lost, the finished rows are kept"):
-            row_after(error)
 
 
 # The command
@@ -149,17 +122,6 @@ def test_ctrl_c_keeps_the_rows_and_exits_with_130(nearby, capsys, monkeypatch):
     assert "interrupted, 1 of 4 runs are in c/, the same command makes the missing ones" in capsys.readouterr().err
     assert len(ss.load_campaign("c")) == 1
     assert run_command(*words) == cli.DONE
-
-
-def test_the_workers_of_a_dask_scheduler_make_the_runs_that_are_made_here(capsys):
-    distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "protocol": "tcp"}
-    with distributed.LocalCluster(**options, dashboard_address="127.0.0.1:0") as cluster:
-        words = ("rectangle", *SHORT, "--seeds", "0:2", "--scheduler", cluster.scheduler_address)
-        assert run_command(*words, "--out", "c") == cli.DONE
-    assert "2 runs; 2 workers" in capsys.readouterr().err
-    alone = ss.run(ss.preset(scene="rectangle", seed=1, **FIELDS))
-    assert ss.load_campaign("c").frame()["ate_rmse_m"][1] == alone.metrics["ate_rmse_m"]
 
 
 # Real processes

@@ -4,7 +4,6 @@ import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from settings import changed, flat, nested
 import sixthsense as ss
 from sixthsense import campaigns, cli
 from sixthsense.campaigns import CampaignPlan, CampaignRows, worker
-from sixthsense.campaigns.cluster import check_workers
 from sixthsense.campaigns.folder import check_folder, read_folder, save_folder
 from sixthsense.campaigns.plan import campaign_of, config_hash, plan, scene_digest, seed_range
 from sixthsense.config import Config, merge
@@ -205,27 +203,3 @@ def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeyp
     assert both.values["estimator"] == ("isam2",) and len(plan(both)) == 2
     with pytest.raises(InputError, match="front_end: found scan-matching with estimator ekf"):
         plan(CampaignPlan({**one.values, "estimator": ("ekf",)}, one.seeds, one.fields))
-
-
-# Workers
-
-
-@pytest.mark.parametrize(("change", "said"), [
-    ({}, ""), ({"Python": "3.2"}, "worker tcp://b: found another Python, 3.2, allowed: 3."),
-    (ImportError("no such\nmodule"), r"found no usable sixthsense \(ImportError: no such module\)"),
-    ({"sixthsense": "0.0.0"}, "found another sixthsense, 0.0.0, allowed: "),
-    ({"scene loop": "0" * 16}, "found another scene loop, 0000000000000000, allowed: "),
-])  # fmt: skip
-def test_workers_that_would_make_other_runs_are_refused(change: Any, said: str) -> None:
-    one = campaign_of({**AXES, "scene": ["loop"]}, [0], {"map_unknown": "free"})
-
-    def run(function: Any, *args: Any, on_error: str) -> dict[str, Any]:
-        answer = function(*args)
-        return {"tcp://a": answer, "tcp://b": answer | change if isinstance(change, dict) else change}
-
-    client = SimpleNamespace(run=run)
-    if not said:
-        check_workers(client, one)
-        return
-    with pytest.raises(InputError, match=said):
-        check_workers(client, one)

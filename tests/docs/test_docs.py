@@ -18,7 +18,7 @@ from sixthsense.logs.runfolder import FILE, read_messages
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ["start.md", "concepts/consistency.md", *sorted(f"howto/{page.name}" for page in DOCS.glob("howto/*.md"))]
-NEEDS = {"howto/campaign.md": "dask", "howto/interop.md": "evo"}
+NEEDS = {"howto/interop.md": "evo"}
 
 sys.path.insert(0, str(DOCS / "hooks"))
 from page_code import script  # noqa: E402

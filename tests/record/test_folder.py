@@ -175,14 +175,6 @@ def test_what_a_stopped_run_has_recorded_is_kept_under_another_name_and_the_user
         assert folder.notes == [] and seed_of(folder.partial) == 5
 
 
-def test_the_old_run_and_the_new_one_exchange_their_names_in_one_step(here, monkeypatch):
-    out = made(here / "x")
-    monkeypatch.setattr(Path, "rename", lambda path, target: pytest.fail(f"{path} is renamed to {target}"))
-    with RunFolder(out, Config(seed=2), overwrite=True) as folder:
-        folder.finish()
-    assert seed_of(out) == 2 and [path.name for path in here.iterdir()] == ["x"]
-
-
 def test_a_file_is_there_as_a_whole_or_not_at_all_and_its_error_names_it(here: Path) -> None:
     with whole(here / "a.txt") as file:
         file.write_text("new")

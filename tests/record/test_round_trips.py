@@ -32,7 +32,7 @@ from sixthsense.record import stream
 from sixthsense.record.bag import write_bag
 from sixthsense.record.exports import write_g2o, write_graph
 from sixthsense.record.messages import Messages
-from sixthsense.record.store import RecordPart, load_record
+from sixthsense.record.store import END, GRID, load_record
 from sixthsense.record.stream import RecordWriter
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
@@ -91,7 +91,7 @@ def test_a_trace_without_what_is_optional_comes_back_without_it() -> None:
     with written(trace) as folder:
         back, missing, _ = load_record(folder)
         assert not (folder / "truth.tum").exists() and not (folder / "map.pgm").exists()
-    assert missing == (RecordPart.GRID,)
+    assert missing == (GRID,)
     for field in dataclasses.fields(Trace):
         if field.name not in NOT_KEPT:
             assert plain(getattr(back, field.name)) == plain(getattr(trace, field.name)), field.name
@@ -110,7 +110,7 @@ def streamed(place: Path, trace: Trace, ticks: Sequence[Tick] = ()) -> Path:
 def test_a_run_that_was_stopped_ends_with_its_last_keyframe_and_place(tmp_path: Path) -> None:
     trace = trace_of(np.random.default_rng(4))
     back, missing, metrics = load_record(streamed(tmp_path, trace))
-    assert (back.outcome, metrics, missing) == ("interrupted", None, (RecordPart.END, RecordPart.GRID))
+    assert (back.outcome, metrics, missing) == ("interrupted", None, (END, GRID))
     assert plain(back.final) == plain(trace.key_estimates[-1]) and back.scene is not None
     assert np.array_equal(back.trajectory, [estimate.pose.array() for estimate in trace.key_estimates])
     assert np.array_equal(back.last_position, trace.truths[-1][:2])
