@@ -18,11 +18,10 @@ from pathlib import Path
 
 from runs import Figures, Setting
 
-from sixthsense.live.maps import MAP
-from sixthsense.live.network import LOOPBACK, Network, Node
+from sixthsense.live.network import LOOPBACK, SENSOR, Network, Node
+from sixthsense.live.publishing import MAP
 from sixthsense.live.reading import TWIST
-from sixthsense.live.simulated import SCAN, cmd_vel
-from sixthsense.live.topics import SENSOR
+from sixthsense.live.simulated import CMD_VEL, SCAN
 from sixthsense.record.messages import Messages
 
 PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
@@ -199,7 +198,7 @@ def beside_a_hall(folder: Path) -> Figures:
     poses = Program([str(PEER), "--domain", "97", "--listen", "--seconds", "9999", "--no-map"])
     run = live(97, folder, 60.0)
     with Node(Network(97)) as node:  # the robot drives a circle; by itself it would map the hall, too
-        commands, make = node.writer(cmd_vel()), Messages()
+        commands, make = node.writer(CMD_VEL), Messages()
         while run.process.poll() is None:
             commands.send(make.serialized(make.twist(0.3, 0.2), TWIST))
             time.sleep(1.0)

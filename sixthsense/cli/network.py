@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -12,7 +13,7 @@ from sixthsense.cli.common import OfScene, WithPriorMap, announce, live_view, ru
 from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment, is_configured_by_user
+from sixthsense.live.network import LOOPBACK, Network, dds, domain_of_environment
 
 
 class OnNetwork(Options):
@@ -28,15 +29,11 @@ class OnNetwork(Options):
     def network(self) -> Network:
         """The network to join; InputError for what is not allowed, and for a missing Cyclone DDS."""
         domain = domain_of_environment() if self.domain is None else self.domain
-        stated = {"interface": self.interface, "peers": self.peers}
-        if is_configured := is_configured_by_user():
-            for option, value in stated.items():
-                if value is not None:
-                    raise InputError(option, "found with CYCLONEDDS_URI", "one of the two")
-            announce("the network is joined as CYCLONEDDS_URI says")
-        interfaces, peers = (tuple(value.split(",")) if value else () for value in stated.values())
-        network = Network(domain, interfaces or (LOOPBACK,), peers, is_configured)
-        check_installed()
+        if os.environ.get("CYCLONEDDS_URI"):
+            announce("CYCLONEDDS_URI is not used: `interface` and `peers` are")
+        interfaces, peers = (tuple(value.split(",")) if value else () for value in (self.interface, self.peers))
+        network = Network(domain, interfaces or (LOOPBACK,), peers)
+        dds("core")
         return network
 
 
@@ -56,8 +53,6 @@ class Live(OnNetwork, WithPriorMap):
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, Arg("TOPIC")] = "/cmd_vel"
     """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
-    transform_timeout: Annotated[float, Field(ge=0.0, le=10.0), Arg("S")] = 0.2
-    """Date the transform of the map in /tf so many seconds later than its scan."""
 
     @classmethod
     def start(cls, given: Table) -> str | Config:
@@ -76,7 +71,6 @@ class Live(OnNetwork, WithPriorMap):
         network = self.network()
         from sixthsense.api import with_task
         from sixthsense.live.session import Session, Topics, check_drive
-        from sixthsense.logs.replay_input import WITHOUT_ODOMETRY
         from sixthsense.logs.transforms import frame_pair
         from sixthsense.running.runs import RunHooks, run_live
         from sixthsense.running.warmup import prepare
@@ -85,18 +79,15 @@ class Live(OnNetwork, WithPriorMap):
         topics = Topics(self.scan, self.odom, self.cmd_vel, frames).checked()
         config = with_task(self.settings, flags)
         if self.drive:
-            if config.no_odometry:
-                raise InputError("no_odometry", "found with `drive`", "without it")
             check_drive(config)
         if config.no_odometry:
-            announce(WITHOUT_ODOMETRY)
+            raise InputError("no_odometry", "found on a robot", "with replay, of a log of its scans")
         for name in flags.get("laser", {}):
             if name not in ("mount", "max_range", "mirrored"):
                 raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
         prior = self.prior_start()
         prepare(announce, config, of_log=not self.drive)
-        ahead_s = self.transform_timeout
-        with Session(network, topics, config, announce, ahead_s) as session, live_view(self) as hooks:
+        with Session(network, topics, config, announce) as session, live_view(self) as hooks:
             session.configure(self.drive)
             config = session.config
             source = {"scan": topics.scan, "odom": topics.odom}
@@ -104,8 +95,8 @@ class Live(OnNetwork, WithPriorMap):
                 source["odometry_frames"] = ",".join(frames)
             with run_folder(self, config, f"live-{config.estimator}", source, prior) as folder:
                 run = run_live(session, self.drive, folder, RunHooks(hooks, say=announce), prior)
-                for line in session.notices.summary():
-                    announce(line)
+                if counts := session.notices.summary():
+                    announce(f"dropped or happened: {counts}")
                 return show_end(run, self)
 
 
@@ -125,7 +116,6 @@ class Simulate(OnNetwork, OfScene):
         config = self.settings_of_scene()
         network = self.network()
         from sixthsense.api import with_task
-        from sixthsense.live.reading import TWIST
         from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
         from sixthsense.running.runs import RunHooks, simulate
         from sixthsense.running.warmup import prepare
@@ -133,14 +123,17 @@ class Simulate(OnNetwork, OfScene):
 
         drives_itself = bool({"task", "goal", "tour"} & set(flags))
         config, task = mission_of(with_task(config, flags))
-        with SimulatedRobot(network, config, None if drives_itself else TWIST) as robot:
+        with SimulatedRobot(network, config, not drives_itself) as robot:
+            if robot.leak:
+                announce(f"interface: {robot.leak}")
             prepare(announce)
             robot.begin(self.truth)
             announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
             if drives_itself:
-                outcome = simulate(config, task, None, RunHooks((robot.on_tick,), False, realtime=True)).outcome
+                outcome = simulate(
+                    config, task, None, RunHooks((lambda tick, _: robot.send(tick),), False, realtime=True)
+                ).outcome
             else:
                 outcome = drive_by_commands(robot, config, task, self.timeout)
         print(f"collisions: {int(outcome == 'collided')}")
-        print(robot.summary())
         return EXIT_CODES.get(outcome, FAILED)

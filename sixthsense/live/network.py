@@ -9,20 +9,117 @@ import os
 import re
 import socket
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 from xml.sax.saxutils import quoteattr
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, installing
 from sixthsense.config.section import shown
-from sixthsense.live.topics import Topic, dds, dds_type, qos
+from sixthsense.record.messages import Messages
+
+_ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_BLOCKED_MS = 20  # a writer waits at most this long for a reader that lags behind
+
+
+class Quality(NamedTuple):
+    """Quality of service of a reader or writer."""
+
+    is_reliable: bool
+    is_latched: bool = False
+    """whether who comes late gets the last message"""
+    depth: int = 10
+    """messages that are kept"""
+
+
+SENSOR = Quality(is_reliable=False, depth=50)
+"""of a reader of sensor data, which takes it from reliable writers and others"""
+FAST_SENSOR = SENSOR._replace(depth=500)
+"""of odometry, which comes more often: a program that is held up for some seconds loses none"""
+RELIABLE = Quality(is_reliable=True)
+LATCHED = Quality(is_reliable=True, is_latched=True, depth=1)
+
+
+class Topic(NamedTuple):
+    """A topic, its type and its quality of service."""
+
+    name: str
+    """as ROS has it, such as /scan"""
+    type: str
+    """such as sensor_msgs/msg/LaserScan"""
+    quality: Quality
+
+
+def checked_topic(option: str, name: str) -> str:
+    """The absolute name of a topic; InputError for one that is not allowed."""
+    if not _ROS_NAME.fullmatch(name) or len(name) > 200:
+        raise InputError(option, f"found {shown(name)}", "a name such as /scan")
+    return "/" + name.lstrip("/")
+
+
+@cache
+def dds_type(name: str) -> Any:
+    """The structure of a message as Cyclone DDS needs it, whose samples hold their serialized form as `data`."""
+    struct = _structure(Messages().store.fielddefs, name)
+
+    def holding(data: bytes) -> Any:
+        sample = struct.__new__(struct)
+        sample.data = data
+        return sample
+
+    struct.holding = staticmethod(holding)
+    struct.serialize = lambda sample, **_: sample.data
+    struct.deserialize = staticmethod(lambda data, **_: holding(data))
+    return struct
+
+
+def _structure(definitions: Any, name: str) -> Any:
+    """The structure of a message, by the names and types of its fields."""
+    from rosbags.interfaces import Nodetype
+
+    idl, types = dds("idl"), dds("idl.types")
+
+    def kind(node: Any) -> Any:
+        category, what = node
+        if category is Nodetype.BASE:
+            return {"string": str, "bool": bool}.get(what[0]) or getattr(types, what[0])
+        if category is Nodetype.NAME:
+            return _structure(definitions, what)
+        element, count = what
+        return types.array[kind(element), count] if category is Nodetype.ARRAY else types.sequence[kind(element)]
+
+    package, _, short = name.split("/")
+    fields = {field: kind(node) for field, node in definitions[name][1]}
+    return idl.make_idl_struct(f"{short}_", f"{package}.msg.dds_.{short}_", fields)
+
+
+def qos(quality: Quality) -> Any:
+    """The quality of service as Cyclone DDS has it; data as CDR, which all vendors of ROS 2 read."""
+    found, duration = dds("qos"), dds("util").duration
+    policy = found.Policy
+    return found.Qos(
+        policy.Reliability.Reliable(duration(milliseconds=_BLOCKED_MS))
+        if quality.is_reliable
+        else policy.Reliability.BestEffort,
+        policy.Durability.TransientLocal if quality.is_latched else policy.Durability.Volatile,
+        policy.History.KeepLast(quality.depth),
+        policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+
+
+def dds(module: str) -> Any:
+    """A module of Cyclone DDS; InputError that says how to install it."""
+    try:
+        return import_module(f"cyclonedds.{module}")
+    except ImportError as error:
+        raise InputError("ROS 2", f"Cyclone DDS cannot be imported ({error}), {installing('ros2')}") from None
+
 
 LOOPBACK = "127.0.0.1"
 LARGEST_MESSAGE_BYTES = 64 << 20
 """A larger message is dropped before it is put together from its packets."""
 
-_OWN_CONFIGURATION = "CYCLONEDDS_URI"
-_INTERFACE_NAME = re.compile(r"[A-Za-z0-9_.:-]{1,15}")
 _MOST_PARTICIPANTS = 32  # of a host, that are looked for at an address without multicast
 _ANNOUNCED_S = 1  # from one announcement of this program to the next
 _LARGEST_DOMAIN = 232
@@ -40,30 +137,25 @@ class Network:
     """names or addresses of the network interfaces"""
     peers: tuple[str, ...] = ()
     """addresses of hosts to ask for participants, beside those that multicast finds"""
-    is_configured: bool = False
-    """whether CYCLONEDDS_URI has the user's own configuration, instead of interfaces and peers"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= _LARGEST_DOMAIN:
             raise InputError("domain", f"found {self.domain}", f"0 to {_LARGEST_DOMAIN}")
-        for interface in self.interfaces:
-            if not (_is_address(interface) or _INTERFACE_NAME.fullmatch(interface)):
-                found = f"found {shown(interface)}"
-                raise InputError("interface", found, "names or addresses of network interfaces")
+        named = ",".join(self.interfaces)
         if any(map(_is_loopback, self.interfaces)) and not self.is_loopback:
-            found = f"found {','.join(self.interfaces)}"
-            raise InputError("interface", found, "others without the loopback: they reach this machine, too")
+            raise InputError("interface", f"found {named}", "others without the loopback: they reach this machine, too")
         for peer in self.peers:
             if not _is_address(peer):
                 raise InputError("peers", f"found {shown(peer)}", "addresses such as 192.168.1.7")
-            if self.is_loopback and not ipaddress.ip_address(peer).is_loopback:
-                found = f"found {peer} with `interface` {','.join(self.interfaces)}"
-                raise InputError("peers", found, "with the interface that leads there")
+            if self.is_loopback and not _is_loopback(peer):
+                raise InputError(
+                    "peers", f"found {peer} with `interface` {named}", "with the interface that leads there"
+                )
 
     @property
     def is_loopback(self) -> bool:
         """Whether no other machine takes part."""
-        return not self.is_configured and all(map(_is_loopback, self.interfaces))
+        return all(map(_is_loopback, self.interfaces))
 
     def xml(self) -> str:
         """The configuration of Cyclone DDS; docs/howto/live.md says what its settings are for."""
@@ -100,23 +192,13 @@ def domain_of_environment() -> int:
     return int(text)
 
 
-def is_configured_by_user() -> bool:
-    """Whether CYCLONEDDS_URI has a configuration of Cyclone DDS."""
-    return bool(os.environ.get(_OWN_CONFIGURATION))
-
-
-def check_installed() -> None:
-    """Raise InputError, which says how to install it, if there is no Cyclone DDS."""
-    dds("core")
-
-
 class Endpoint(NamedTuple):
     """A publisher or subscriber of a topic."""
 
+    topic: str
+    """such as /scan"""
     type: str
     """such as sensor_msgs/msg/LaserScan"""
-    participant: str
-    """identifier of the program it is part of"""
 
 
 class Message(NamedTuple):
@@ -133,25 +215,25 @@ class Node:
 
     def __init__(self, network: Network) -> None:
         """Join; InputError if an interface is not there or all places of the domain are taken."""
-        core, domain = dds("core"), dds("domain")
-        own = not network.is_configured
-        for interface in network.interfaces * own:
+        core, domain, builtin = dds("core"), dds("domain"), dds("builtin")
+        for interface in network.interfaces:
             _check_interface(interface)
         before = _open_sockets()
         self._open = contextlib.ExitStack()
         try:
-            if own:
-                self._keep(domain.Domain(network.domain, network.xml()))
+            self._keep(domain.Domain(network.domain, network.xml()))
             self._participant = self._keep(domain.DomainParticipant(network.domain))
         except core.DDSException as error:
-            where = f"interface {','.join(network.interfaces)}" if own else _OWN_CONFIGURATION
-            allowed = "an interface that is up" if own else "a configuration of Cyclone DDS"
-            where = f"{where}, domain {network.domain}"
-            raise InputError(where, f"cannot be joined ({error.msg})", allowed) from None
-        self.is_confined = network.is_loopback and _confine_to_loopback(_open_sockets() - before)
-        """whether no other machine can send: not on each system, and not with another interface"""
+            where = f"interface {','.join(network.interfaces)}, domain {network.domain}"
+            raise InputError(where, f"cannot be joined ({error.msg})", "an interface that is up") from None
+        is_confined = not network.is_loopback or _confine_to_loopback(_open_sockets() - before)
+        self.leak = "" if is_confined else "found the loopback, to which this system lets other machines send"
+        """what is wrong with the confinement to this machine, where no other one is to take part"""
         self._waitset = core.WaitSet(self._participant)
-        self._published, self._subscribed = map(self._announced, ("Publication", "Subscription"))
+        self._published, self._subscribed = (
+            self._keep(builtin.BuiltinDataReader(self._participant, topic))
+            for topic in (builtin.BuiltinTopicDcpsPublication, builtin.BuiltinTopicDcpsSubscription)
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -179,32 +261,17 @@ class Node:
         writer = dds("pub").DataWriter(self._participant, self._topic(topic), qos(topic.quality))
         return Writer(self._keep(writer), dds_type(topic.type))
 
-    @property
-    def participant(self) -> str:
-        """Identifier of this program."""
-        return str(self._participant.get_guid())
-
-    def publishers(self, name: str) -> list[Endpoint]:
-        """The publishers of the topic of this name, this program's included."""
-        return _endpoints(self._published, name)
+    def publishers(self, name: str = "") -> list[Endpoint]:
+        """The publishers of the topic of this name, or of all topics of ROS, this program's included."""
+        return _announced(self._published, name)
 
     def subscribers(self, name: str) -> list[Endpoint]:
         """The subscribers of the topic of this name, this program's included."""
-        return _endpoints(self._subscribed, name)
-
-    def seen(self) -> dict[str, str]:
-        """The type of each topic of ROS that another program publishes, by its name."""
-        own, found = self.participant, _read_announced(self._published)
-        return {e.topic_name.removeprefix("rt"): _ros_type(e) for e in found if str(e.participant_key) != own}
+        return _announced(self._subscribed, name)
 
     def wait(self, timeout_s: float) -> None:
         """Wait until a reader has a message, at most for a time."""
         self._waitset.wait(round(1e9 * timeout_s))
-
-    def _announced(self, kind: str) -> Any:
-        """The reader of what the network announces of publications or subscriptions."""
-        builtin = dds("builtin")
-        return self._keep(builtin.BuiltinDataReader(self._participant, getattr(builtin, f"BuiltinTopicDcps{kind}")))
 
     def _topic(self, topic: Topic) -> Any:
         return self._keep(dds("topic").Topic(self._participant, f"rt{topic.name}", dds_type(topic.type)))
@@ -219,7 +286,7 @@ class Reader:
     """Takes the messages of a topic."""
 
     def __init__(self, reader: Any, topic: Topic) -> None:
-        self._reader, self._depth = reader, topic.quality.depth
+        self._reader = reader
         self.topic = topic
         """what is subscribed"""
         self._publisher = functools.cache(functools.partial(_publisher, reader))
@@ -235,7 +302,7 @@ class Reader:
 
     def messages(self) -> list[Message]:
         """The messages that have arrived since the last call, the newest at last."""
-        samples = self._reader.take(N=self._depth)
+        samples = self._reader.take(N=self.topic.quality.depth)
         arrived = [sample for sample in samples if hasattr(sample, "data")]
         return [Message(sample.data, self._publisher(sample.sample_info.publication_handle)) for sample in arrived]
 
@@ -246,13 +313,10 @@ class Writer:
     def __init__(self, writer: Any, kind: Any) -> None:
         self._writer, self._kind = writer, kind
 
-    def send(self, data: bytes) -> bool:
-        """Send a serialized message; false if it is lost, as where a reader that must confirm it lags behind."""
-        try:
+    def send(self, data: bytes) -> None:
+        """Send a serialized message; it is lost where a reader that must confirm it lags behind."""
+        with contextlib.suppress(dds("core").DDSException):
             self._writer.write(self._kind.holding(data))
-        except dds("core").DDSException:
-            return False
-        return True
 
     @property
     def readers(self) -> int:
@@ -260,28 +324,15 @@ class Writer:
         return len(self._writer.get_matched_subscriptions())
 
 
-def _endpoints(announced: Any, name: str) -> list[Endpoint]:
-    """What a network announces of a topic now."""
-    return [
-        Endpoint(_ros_type(e), str(e.participant_key))
-        for e in _read_announced(announced)
-        if e.topic_name == f"rt{name}"
-    ]
-
-
-def _read_announced(announced: Any) -> list[Any]:
-    """What a network announces now of topics of ROS."""
-    alive, found = dds("core").InstanceState.Alive, announced.read(N=_MOST_ENDPOINTS)
-    return [
-        e
-        for e in found
+def _announced(reader: Any, name: str) -> list[Endpoint]:
+    """What a network announces now of a topic of ROS, or of all."""
+    alive = dds("core").InstanceState.Alive
+    found = [
+        Endpoint(e.topic_name.removeprefix("rt"), _ROS_TYPE.sub(r"\1/\2/\3", e.type_name))
+        for e in reader.read(N=_MOST_ENDPOINTS)
         if e.sample_info.valid_data and e.sample_info.instance_state == alive and e.topic_name.startswith("rt/")
     ]
-
-
-def _ros_type(endpoint: Any) -> str:
-    """The type of an endpoint as ROS has it."""
-    return _ROS_TYPE.sub(r"\1/\2/\3", endpoint.type_name)
+    return [endpoint for endpoint in found if name in ("", endpoint.topic)]
 
 
 def _publisher(reader: Any, handle: int) -> str:
@@ -303,26 +354,19 @@ def _is_loopback(interface: str) -> bool:
 
 def _check_interface(interface: str) -> None:
     """Raise InputError for an interface that this machine has not; Cyclone DDS would take another one."""
+    names = [name for _, name in socket.if_nameindex()]
     try:
-        if _is_address(interface):
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                probe.bind((interface, 0))
-        else:
-            socket.if_nametoindex(interface)
-    except OSError:
-        names = ", ".join(name for _, name in socket.if_nameindex())
-        raise InputError("interface", f"found {interface}", f"{names}, or an address of one") from None
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            if interface not in names:
+                probe.bind((str(ipaddress.IPv4Address(interface)), 0))
+    except (OSError, ValueError):
+        allowed = f"{', '.join(names)}, or an address of one"
+        raise InputError("interface", f"found {shown(interface)}", allowed) from None
 
 
 def _open_sockets() -> set[int]:
     """File descriptors of this process's sockets; empty where the system does not list them."""
-    found = set()
-    with contextlib.suppress(OSError):
-        for entry in Path("/proc/self/fd").iterdir():
-            with contextlib.suppress(OSError):
-                if str(entry.readlink()).startswith("socket:"):
-                    found.add(int(entry.name))
-    return found
+    return {int(entry.name) for entry in Path("/proc/self/fd").glob("*") if entry.is_socket()}
 
 
 def _confine_to_loopback(descriptors: set[int]) -> bool:

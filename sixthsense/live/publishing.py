@@ -1,4 +1,4 @@
-"""What a live run tells the network: pose and frame of odometry at every scan, and commands to the robot.
+"""What a live run tells the network: pose, frame of odometry and plan, the verdict on its map, and commands.
 
 Commands have a dead man's switch: without a new one in time the robot is told to stop.
 """
@@ -8,51 +8,73 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry, propagated
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.network import Writer
+from sixthsense.live.network import LARGEST_MESSAGE_BYTES, LATCHED, RELIABLE, Topic, Writer
 from sixthsense.live.reading import TWIST, TWIST_STAMPED
 from sixthsense.live.robot import LiveRobot
-from sixthsense.live.topics import RELIABLE, Topic
+from sixthsense.logs.diagnose import findings_of
+from sixthsense.logs.joining import Odometry as Track
+from sixthsense.logs.joining import Sighting
 from sixthsense.loop.run import OnTick
-from sixthsense.record.messages import WORLD, Messages
+from sixthsense.navigation.pilot import Pilot
+from sixthsense.record.messages import DIAGNOSTICS, WORLD, Messages
 from sixthsense.record.trace import Trace
+from sixthsense.slam.mapping.mapper import Additions, Mapper
+from sixthsense.verdict.judge import judge
+from sixthsense.verdict.verdict import Level
 
 TIMEOUT_S = 0.3
 """A moving robot is stopped if no command has followed for this long."""
-
-_CHECK_S = 0.05
-_FAREWELLS, _BETWEEN_S = 3, 0.02
+AHEAD_NS = 200_000_000
+"""The transform of the map is dated so much later than its scan, as slam_toolbox does."""
+LEVELS: dict[Level, int] = {"good": 0, "unjudged": 0, "doubtful": 1, "broken": 2}
+"""OK, WARN and ERROR of diagnostic_msgs/DiagnosticStatus"""
+PACES: dict[Level, float] = {"good": 1.0, "unjudged": 1.0, "doubtful": 0.5, "broken": 0.0}
+"""share of its speed that a robot drives at by itself; at 0 it turns in place, to find its place"""
+KEYFRAMES = 200
+"""that are judged while a run goes on: the last 50 m, in some 20 ms"""
 
 POSE = Topic("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", RELIABLE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE._replace(depth=100))
+PLAN = Topic("/plan", "nav_msgs/msg/Path", LATCHED)
+VERDICT = Topic("/diagnostics", DIAGNOSTICS, RELIABLE)
+
+_CHECK_S = 0.05
+_FAREWELLS, _BETWEEN_S = 3, 0.02
+_JUDGED_NS = 1_000_000_000  # from one verdict to the next
 
 
 def publisher(
-    advertise: Callable[[Topic], Writer], robot: LiveRobot, offer_map: Callable[[int, Trace], object], ahead_s: float
+    advertise: Callable[[Topic], Writer], robot: LiveRobot, offer_map: Callable[[int, Trace], object]
 ) -> OnTick:
-    """A hook that sends the pose after each scan and the transform of the map, with the stamp of the scan.
+    """A hook that sends the pose after each scan and the transform of the map, with the stamp of the scan; and plans.
 
     `advertise` gives what a topic is written with. `offer_map` takes the stamp of each scan, after which the map may
-    have changed, and the trace. The transform is dated `ahead_s` later than its scan: so long it holds for those who
-    look it up.
+    have changed, and the trace. The transform is dated later than its scan: so long it holds for those who look it up.
     """
-    make, pose_writer, tf_writer = Messages(), advertise(POSE), advertise(TF)
+    make, plans = Messages(), 0
+    writers = {topic: advertise(topic) for topic in (POSE, TF, PLAN)}
+
+    def send(topic: Topic, message: object) -> None:
+        writers[topic].send(make.serialized(message, topic.type))
 
     def hook(tick: Tick, trace: Trace) -> None:
-        stamp_ns = tick.stamp_ns
+        nonlocal plans
         if tick.scan is not None:
             pose = Pose.from_array(trace.estimates[-1])
-            pose_writer.send(make.serialized(make.estimate(stamp_ns, pose, pose_covariance(trace)), POSE.type))
+            send(POSE, make.estimate(tick.stamp_ns, pose, pose_covariance(trace)))
             T_map_odom = robot.odom_in_map(tick, pose)
-            transform = make.transform(stamp_ns + round(1e9 * ahead_s), WORLD, robot.odom_frame, T_map_odom)
-            tf_writer.send(make.serialized(transform, TF.type))
-            offer_map(stamp_ns, trace)
+            send(TF, make.transform(tick.stamp_ns + AHEAD_NS, WORLD, robot.odom_frame, T_map_odom))
+            offer_map(tick.stamp_ns, trace)
+        if len(trace.plans) > plans:
+            plans = len(trace.plans)
+            send(PLAN, make.path(tick.stamp_ns, trace.plans[-1]))
 
     return hook
 
@@ -66,26 +88,42 @@ def pose_covariance(trace: Trace) -> Array:
     return propagated(key.pose, key.pose_cov, Odometry(since, since_cov))
 
 
-class Stamped(NamedTuple):
-    """The header of commands that have one."""
+def diagnostics(send: Callable[[bytes], object], pilot: Pilot) -> OnTick:
+    """A hook that judges the map so far once a second, says so, and slows the pilot down.
 
-    now_ns: Callable[[], int]
-    """the robot's clock"""
-    frame: str
-    """of the robot"""
+    `send` takes serialized messages.
+    """
+    messages, next_ns, judged = Messages(), -1, 0  # keyframes of the newest verdict
+
+    def hook(tick: Tick, trace: Trace) -> None:
+        nonlocal next_ns, judged
+        if trace.live is None or tick.stamp_ns < next_ns:
+            return
+        next_ns, count = tick.stamp_ns + _JUDGED_NS, len(trace.key_stamps_ns)
+        if trace.live.verdict is None or count != judged:
+            judged, trace.live.verdict = count, judge(trace.witnesses(KEYFRAMES))
+        verdict = trace.live.verdict
+        pilot.pace = PACES[verdict.level]
+        values = {"cause": verdict.cause}
+        if verdict.probability is not None:
+            values["probability that the map is wrong"] = f"{verdict.probability:.3g}"
+        values |= {name: f"{value:.4g}" for name, value in verdict.evidence.items()}
+        status = messages.status(LEVELS[verdict.level], "sixthsense: map", f"map {verdict}", "sixthsense", values)
+        send(messages.serialized(messages.diagnostics(tick.stamp_ns, [status]), DIAGNOSTICS))
+
+    return hook
 
 
 class Commands:
     """Sends commands; a thread of its own stops the robot if the loop stalls. A context manager that stops it, too."""
 
-    def __init__(self, send: Callable[[bytes], object], stamped: Stamped | None = None) -> None:
-        """`send` takes serialized messages: of type TwistStamped if they are to be stamped, else Twist."""
-        self.stalls = 0
-        """how often the loop was too late"""
-        self._send, self._stamped, self._messages = send, stamped, Messages()
+    def __init__(
+        self, send: Callable[[bytes], object], now_ns: Callable[[], int] | None = None, frame: str = ""
+    ) -> None:
+        """`send` takes serialized messages: Twist, or with the robot's clock `now_ns` TwistStamped in its `frame`."""
+        self._send, self._now_ns, self._frame, self._messages = send, now_ns, frame, Messages()
         self._lock = threading.Lock()
-        self._is_moving = False
-        self._sent_s = time.monotonic()
+        self._is_moving, self._sent_s = False, time.monotonic()
         self._over = threading.Event()
         self._watch = threading.Thread(target=self._stop_if_late, name="dead man's switch", daemon=True)
 
@@ -103,21 +141,103 @@ class Commands:
 
     def send(self, command: Command) -> None:
         """Send a command now."""
-        data = self._serialized(command)
+        make, velocities = self._messages, (command.speed, command.turn_rate)
+        if self._now_ns is None:
+            data = make.serialized(make.twist(*velocities), TWIST)
+        else:
+            data = make.serialized(make.twist_stamped(self._now_ns(), self._frame, *velocities), TWIST_STAMPED)
         with self._lock:
             self._send(data)
-            self._is_moving = command != Command()
-            self._sent_s = time.monotonic()
-
-    def _serialized(self, command: Command) -> bytes:
-        make, velocities = self._messages, (command.speed, command.turn_rate)
-        if self._stamped is None:
-            return make.serialized(make.twist(*velocities), TWIST)
-        message = make.twist_stamped(self._stamped.now_ns(), self._stamped.frame, *velocities)
-        return make.serialized(message, TWIST_STAMPED)
+            self._is_moving, self._sent_s = command != Command(), time.monotonic()
 
     def _stop_if_late(self) -> None:
         while not self._over.wait(_CHECK_S):
             if self._is_moving and time.monotonic() - self._sent_s > TIMEOUT_S:
-                self.stalls += 1
                 self.send(Command())
+
+
+MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
+
+_PERIOD_S = 2.0
+_HEADER_BYTES = 1024  # of a map, at most
+
+
+class MapSender:
+    """Draws the keyframes that it is offered in a thread of its own, and sends the map.
+
+    The thread has a map of its own, so that the loop never waits for a large one. A context manager, which ends it.
+    """
+
+    def __init__(self, writer: Writer, say: Callable[[str], object]) -> None:
+        """`writer` is of `MAP`; `say` prints a line if the map cannot be sent."""
+        self._writer, self._say, self._messages = writer, say, Messages()
+        self._mapper: Mapper | None = None
+        self._news: tuple[int, float, Additions] | None = None  # stamp, size of a cell, what the map has gained
+        self._keyframes = self._scans = 0  # that were offered
+        self._has_news, self._is_over = threading.Event(), threading.Event()
+        self._offered_s = -_PERIOD_S
+        self._thread = threading.Thread(target=self._run, name="map", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._has_news.set()
+        self._thread.join()
+
+    def offer(self, stamp_ns: int, trace: Trace) -> None:
+        """Give on new keyframes, unless the thread still draws those before or the last map is not yet old."""
+        keyframes, now_s = len(trace.key_stamps_ns), time.monotonic()
+        if keyframes == self._keyframes or self._has_news.is_set() or now_s - self._offered_s < _PERIOD_S:
+            return
+        assert trace.live is not None
+        mapper, config = trace.live.mapper, trace.config.grid
+        if self._mapper is None:
+            self._mapper = Mapper(config, trace.radius_m)
+            if mapper.earlier is not None:
+                self._mapper.start_from(mapper.earlier)
+        additions = mapper.additions(self._scans)
+        self._keyframes, self._scans, self._offered_s = keyframes, self._scans + len(additions.scans), now_s
+        self._news = stamp_ns, config.cell_m, additions
+        self._has_news.set()
+
+    def _run(self) -> None:
+        """Draw and send what is offered until the end, or until the map is too large for a message."""
+        while self._has_news.wait() and not self._is_over.is_set():
+            assert self._news is not None and self._mapper is not None
+            stamp_ns, cell_m, additions = self._news
+            self._mapper.take(additions)
+            grid = self._mapper.draw()
+            cells = grid.occupancy()
+            if cells.size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES:
+                self._say(f"the map is not sent any more: found {cells.size} cells, allowed: {LARGEST_MESSAGE_BYTES}")
+                return
+            if cells.size:
+                message = self._messages.occupancy(stamp_ns, cells, grid.origin, cell_m)
+                self._writer.send(self._messages.serialized(message, MAP.type))
+            self._has_news.clear()
+
+
+LOOK_NS = 20_000_000_000
+"""time since the first tick"""
+
+
+def first_look(say: Callable[[str], object]) -> OnTick:
+    """A hook that diagnoses the ticks of the first 20 s, in a thread, and says each finding; `say` prints a line."""
+    ticks: list[Tick] = []
+
+    def look() -> None:
+        scans = [Sighting(t.stamp_ns, t.scan, t.log_stamp_s or 1e-9 * t.stamp_ns) for t in ticks if t.scan is not None]
+        odometry = Track(np.array([t.stamp_ns for t in ticks]), np.array([t.odometry.array() for t in ticks]))
+        for finding in findings_of(scans, odometry):
+            say(str(finding))
+
+    def hook(tick: Tick, trace: Trace) -> None:
+        if not ticks or ticks[-1].stamp_ns - ticks[0].stamp_ns < LOOK_NS:
+            ticks.append(tick)
+            if tick.stamp_ns - ticks[0].stamp_ns >= LOOK_NS:
+                threading.Thread(target=look, daemon=True, name="first look").start()
+
+    return hook

@@ -7,7 +7,7 @@ compared with others and shown, but are never paths.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from sixthsense.config.section import shown_name
@@ -15,26 +15,15 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.logs.laser_geometry import FARTHEST_M
-from sixthsense.logs.ros_messages import (
-    LASER_SCAN,
-    ODOMETRY,
-    frame_name,
-    planar,
-    scan,
-    stamp_ns,
-    transform,
-)
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, frame_name, planar, scan, stamp_ns, transform
 from sixthsense.logs.transforms import FramePair, TransformTree
 from sixthsense.record.messages import WORLD, Messages
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
-_MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8, TWIST_STAMPED: 1 << 10}
-_MOST_BYTES[POSE] = 1 << 11
-_LONGEST_FRAME = 256  # letters of the name of a frame
+_MOST_BYTES = 1 << 20  # of a message
 _MOST_FRAMES = 1000
 _MOST_KINDS = 50
 _AGAIN_NS = 10_000_000_000  # from one line of an event to the next of its kind
@@ -61,8 +50,8 @@ class MessageReader:
 
     def read(self, data: bytes, name: str) -> Any:
         """The message of the type of this name, with a valid header if it has one."""
-        if len(data) > _MOST_BYTES[name]:
-            raise ValueError(f"found a message of {len(data)} bytes, allowed: {_MOST_BYTES[name]}")
+        if len(data) > _MOST_BYTES:
+            raise ValueError(f"found a message of {len(data)} bytes, allowed: {_MOST_BYTES}")
         try:
             message = self._store.deserialize_cdr(data, name)
         except Exception as error:  # damaged bytes raise whatever they lead to
@@ -71,38 +60,23 @@ class MessageReader:
             _check_header(message.header)
         return message
 
-    def has_odometry(self, data: bytes) -> bool:
-        """Whether a message is one of odometry: those of /tf are of all frames. What cannot be read counts as one."""
+    def odometry(self, data: bytes) -> RobotPose | None:
+        """The robot's pose by its wheels; None for a message of /tf without it, as those of other frames."""
         if self._frames is None:
-            return True
-        try:
-            return any(self._is_odometry(link) for link in self.read(data, TRANSFORMS).transforms)
-        except ValueError:
-            return True
+            message = self.read(data, ODOMETRY)
+            frames = frame_name(message.header.frame_id), frame_name(message.child_frame_id)
+            return RobotPose(stamp_ns(message), planar(message.pose.pose), *frames)
+        for link in reversed(self.read(data, TRANSFORMS).transforms):
+            if (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames:
+                _check_header(link.header)
+                return RobotPose(stamp_ns(link), planar(link.transform), *self._frames)
+        return None
 
-    def odometry(self, data: bytes) -> RobotPose:
-        """The robot's pose by its wheels."""
-        if self._frames is not None:
-            links = [link for link in self.read(data, TRANSFORMS).transforms if self._is_odometry(link)]
-            if not links:
-                raise ValueError(f"found no transform {self._frames}, allowed: one")
-            _check_header(links[-1].header)
-            place = planar(links[-1].transform)
-            return RobotPose(stamp_ns(links[-1]), place, *self._frames)
-        message = self.read(data, ODOMETRY)
-        pose = planar(message.pose.pose)
-        robot = _checked_frame(message.child_frame_id)
-        return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
-
-    def add_transforms(self, data: bytes, tree: TransformTree, are_static: bool = True) -> None:
-        """Add the transforms of a message, static or of /tf, to a tree, unless it is large already."""
-        for link in self.read(data, TRANSFORMS).transforms:
-            parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
-            if len(tree.links) < _MOST_FRAMES:
-                (tree.add_static if are_static else tree.add)(parent, child, transform(link.transform))
-
-    def _is_odometry(self, link: Any) -> bool:
-        return (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames
+    def add_transforms(self, data: bytes, tree: TransformTree) -> None:
+        """Add the static transforms of a message to a tree, unless it is large already."""
+        for link in self.read(data, TRANSFORMS).transforms[: _MOST_FRAMES - len(tree.links)]:
+            parent, child = frame_name(link.header.frame_id), frame_name(link.child_frame_id)
+            tree.add_static(parent, child, transform(link.transform))
 
     def command(self, data: bytes, name: str = TWIST) -> Command:
         """The command of a Twist, or of a TwistStamped if that is the type of this name."""
@@ -122,7 +96,7 @@ class MessageReader:
 
 
 class LaserReader:
-    """Reads the scans of one laser, each with its own beams: that whose frame most scans have until it is `fixed`."""
+    """Reads the scans of one laser, each with its own beams: that of the first scan."""
 
     def __init__(self, reader: MessageReader, max_range: float | None, mount: Pose | None) -> None:
         """`max_range`, metres, and `mount`, `T_robot_laser`, are those stated, which messages do not change."""
@@ -131,9 +105,7 @@ class LaserReader:
         """mount; None: not known yet"""
         self.upside_down = False
         self.frame = ""
-        """of the scans"""
-        self._counts: Counter[str] | None = Counter()
-        """number of scans by frame; None once the frame is fixed"""
+        """of the scans; "" before the first one"""
 
     def scan(self, data: bytes) -> tuple[int, Scan]:
         """The stamp of a scan, ns, and the scan."""
@@ -143,69 +115,43 @@ class LaserReader:
             allowed = f"allowed: up to {FARTHEST_M:g} m, or state it with `laser.max_range`"
             raise ValueError(f"found range_max {float(message.range_max)}, {allowed}")
         found = scan(message, self.T_robot_laser or Pose(), self.upside_down, self._max_range)
-        if self._counts is not None:
-            self._counts[frame] += 1
-            if self._counts[frame] > self._counts[self.frame]:
-                self.frame = frame
+        self.frame = self.frame or frame
         if frame != self.frame:
             raise ValueError(f"found a scan of {shown_name(frame)}, allowed: of {shown_name(self.frame)}")
         return stamp_ns(message), found
 
-    def fix(self) -> None:
-        """Take scans of the present frame alone from now on."""
-        self._counts = None
-
 
 class Notices:
-    """Counts what was dropped, and says it when it happens for the first time."""
+    """Counts what was dropped and what happened, and says it when it happens for the first time."""
 
     def __init__(self, say: Callable[[str], object]) -> None:
         """`say` prints a line."""
         self._say = say
-        self.dropped: Counter[str] = Counter()
-        """number of messages by what was wrong with them"""
-        self.events: Counter[str] = Counter()
-        """number of events by kind"""
-        self._said: set[str] = set()
+        self.counts: Counter[str] = Counter()
+        """number of messages that were dropped, by what was wrong with them, and of events by kind"""
         self._said_ns: dict[str, int] = {}
 
     def event(self, kind: str, text: str, now_ns: int) -> None:
         """Count an event, and say it unless another of its kind has been said within ten seconds."""
-        self.events[kind] += 1
+        self.counts[kind] += 1
         if now_ns - self._said_ns.get(kind, -_AGAIN_NS) >= _AGAIN_NS:
             self._said_ns[kind] = now_ns
             self._say(text)
 
-    def unusable(self, topic: str, error: ValueError) -> None:
-        """Count a message of a topic that cannot be used; one line for each that is not allowed for another reason."""
-        self.dropped[f"{topic} unusable"] += 1
-        text = str(error)
-        kind = text.partition("allowed:")[2] or text
-        if kind not in self._said and len(self._said) < _MOST_KINDS:
-            self._said.add(kind)
-            self._say(f"{topic}: {text}; dropped")
+    def drop(self, kind: str, fault: str = "") -> None:
+        """Count a message that is not used; one line for each kind, or for each other thing that its fault allows."""
+        self.counts[kind] += 1
+        key = fault.partition("allowed:")[2] or fault or kind
+        if key not in self._said_ns and len(self._said_ns) < _MOST_KINDS:
+            self._said_ns[key] = 0
+            self._say(f"dropped: {kind}{f': {fault}' if fault else ''}")
 
-    def count(self, dropped: Mapping[str, int]) -> None:
-        """Record the present numbers of another counter."""
-        for kind, count in dropped.items():
-            if kind not in self.dropped:
-                self._say(f"dropped: {kind}")
-            self.dropped[kind] = count
-
-    def summary(self) -> list[str]:
-        """The numbers of what was dropped and of what happened, a line each if there was any."""
-        both = (("dropped", self.dropped), ("events", self.events))
-        return [f"{name}: {', '.join(f'{k} {n}' for k, n in sorted(c.items()))}" for name, c in both if c]
+    def summary(self) -> str:
+        """The numbers of what was dropped and of what happened, "" if nothing was."""
+        return ", ".join(f"{kind} {count}" for kind, count in sorted(self.counts.items()))
 
 
 def _check_header(header: Any) -> None:
     seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
     if seconds < 0 or nanoseconds >= 1_000_000_000 or seconds == nanoseconds == 0:
         raise ValueError(f"found the stamp {seconds} s {nanoseconds} ns, allowed: a time after 1970")
-    _checked_frame(header.frame_id)
-
-
-def _checked_frame(name: str) -> str:
-    if len(name) > _LONGEST_FRAME:
-        raise ValueError(f"found a name of a frame with {len(name)} letters, allowed: {_LONGEST_FRAME}")
-    return frame_name(name)

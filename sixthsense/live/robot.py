@@ -1,7 +1,12 @@
-"""A robot on the network as a `Source`: messages become ticks, and the robot is steered between them."""
+"""A robot on the network as a `Source`: messages become ticks, and the robot is steered between them.
+
+Scans are joined with odometry into ticks in the order of time, from messages in any order of arrival. The joiner knows
+no network and no clock of its own: stamps and times of arrival are arguments, in nanoseconds.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -9,23 +14,224 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sixthsense.config import Config
-from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import sweep_ns
-from sixthsense.core.source import Command, Tick
-from sixthsense.live.ahead_pilot import AheadPilot
-from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, OdometryJump, Publishers, ScanJoiner, SilenceDetector
+from sixthsense.config import Config, RobotConfig
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.laser import Scan, sweep_ns
+from sixthsense.core.source import Command, Tick, seconds
 from sixthsense.live.network import Message
-from sixthsense.live.reading import LaserReader, MessageReader, Notices
+from sixthsense.live.reading import LaserReader, MessageReader, Notices, RobotPose
+from sixthsense.logs.joining import JOLT_M, JOLT_RAD, Odometry, pose_at
 from sixthsense.loop.interrupt import is_command_ended
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import Navigator
+from sixthsense.navigation.pilot import Pilot
+from sixthsense.slam.result import Step
+
+JUMP_NS = 1_000_000_000
+"""A stamp that differs by more from what has passed since the last one is of a clock that has jumped."""
+CONFIRMED = 3
+"""Messages of another time, one after the other, that tell that the clock has jumped."""
+WAIT_NS = 200_000_000
+"""A scan waits at most this long for the odometry after it."""
+HOLD_NS = 1_000_000_000
+"""Odometry is held this long for scans that are late."""
+SILENT_NS = 400_000_000
+"""A sensor that has sent nothing for this long is silent where the robot is driven: it must not drive on."""
+LONG_SILENT_NS = 2_000_000_000
+"""The same where it is only listened to."""
+
+_FASTER = 1.2  # than its top speed: three sigmas of the wheels' scale (5 %), and a controller that overshoots
+
+
+class _Waiting(NamedTuple):
+    """A scan without odometry after it."""
+
+    time_ns: int
+    stamp_ns: int
+    """of the header"""
+    arrival_ns: int
+    scan: Scan
+
+
+class ScanJoiner:
+    """Makes a tick of each scan, with odometry interpolated at its stamp, and of the odometry before it.
+
+    The stamp of a scan that took time is that of its first beam; its tick has the time of its last one. Odometry that
+    begins anew elsewhere, as after a restart of its driver, goes on from where it was.
+    """
+
+    def __init__(self, robot: RobotConfig, drop: Callable[[str], object]) -> None:
+        """`robot` has the top speeds: odometry that moves faster has begun anew.
+
+        `drop` is called with the reason for each message that cannot be used.
+        """
+        self._robot, self._drop = robot, drop
+        self.T_joined_odom = Pose()
+        """the frame of odometry in that of the ticks: the identity until odometry begins anew or `begin_at`"""
+        self._odometry: list[tuple[int, Pose]] = []
+        self._scans: list[_Waiting] = []
+        self._scanned_ns = self._ticked_ns = -math.inf  # times of the last tick with a scan, and of the last one
+        self._latest: tuple[int, int] | None = None  # stamp and arrival of the latest odometry
+        self._others = 0  # messages of odometry in turn with a stamp of another time
+
+    @property
+    def has_lost_time(self) -> bool:
+        """Whether several stamps in turn were of another time: the robot's clock has jumped."""
+        return self._others >= CONFIRMED
+
+    def now(self, arrival_ns: int) -> int:
+        """What the robot's clock shows at a time of arrival, late by the delay of its last message; 0 before any."""
+        return 0 if self._latest is None else self._latest[0] + arrival_ns - self._latest[1]
+
+    @property
+    def newest(self) -> tuple[int, Pose] | None:
+        """Time and pose of the newest odometry, frame of the ticks."""
+        return self._odometry[-1] if self._odometry else None
+
+    def add_odometry(self, stamp_ns: int, T_odom_robot: Pose, arrival_ns: int) -> str:
+        """Record the robot's pose by its wheels; how it has jumped, in words, "" if it has not."""
+        self._latest = self._latest or (stamp_ns, arrival_ns)
+        if not self._latest[0] - JUMP_NS <= stamp_ns <= self.now(arrival_ns) + JUMP_NS:
+            self._others += 1
+            self._drop("odometry with a stamp of another time")
+            return ""
+        self._others, self._latest = 0, max(self._latest, (stamp_ns, arrival_ns))
+        jump = ""
+        if self._odometry:
+            newest_ns, before = self._odometry[-1]
+            if stamp_ns <= newest_ns:
+                self._drop("odometry twice" if stamp_ns == newest_ns else "odometry out of order")
+                return ""
+            after, pause_s = self.T_joined_odom @ T_odom_robot, seconds(stamp_ns - newest_ns)
+            if self._is_elsewhere(before, after, pause_s):
+                self.T_joined_odom = before @ T_odom_robot.inverse()
+                jump = (
+                    f"odometry has jumped by {math.dist(after.position, before.position):.1f} m after {pause_s:.1f} s"
+                )
+        self._odometry.append((stamp_ns, self.T_joined_odom @ T_odom_robot))
+        return jump
+
+    def add_scan(self, stamp_ns: int, scan: Scan, arrival_ns: int) -> None:
+        """Record a scan; `stamp_ns` is that of its first beam."""
+        time_ns = stamp_ns - sweep_ns(len(scan.ranges), scan.time_increment)
+        if time_ns in (self._scanned_ns, *(other.time_ns for other in self._scans)):
+            self._drop("scan twice")
+        elif time_ns <= self._ticked_ns:
+            self._drop("scan late")
+        else:
+            self._scans.append(_Waiting(time_ns, stamp_ns, arrival_ns, scan))
+            self._scans.sort(key=lambda waiting: waiting.time_ns)
+
+    def ticks(self, arrival_ns: int) -> list[Tick]:
+        """The ticks that are due at a time of arrival, in ascending order."""
+        found: list[Tick] = []
+        left: list[_Waiting] = []
+        for waiting in self._scans:
+            is_ahead = not self._odometry or waiting.time_ns > self._odometry[-1][0]
+            if is_ahead and arrival_ns - waiting.arrival_ns <= WAIT_NS:
+                left.append(waiting)
+            elif is_ahead or (pose := self._odometry_at(waiting.time_ns)) is None:
+                self._drop("scan without odometry")
+            else:
+                found += self._odometry_before(waiting.time_ns)
+                found.append(Tick(waiting.time_ns, pose, waiting.scan, log_stamp_s=waiting.stamp_ns / 1e9))
+                self._scanned_ns = self._ticked_ns = waiting.time_ns
+        self._scans = left
+        if self._odometry:
+            found += self._odometry_before(self._odometry[-1][0] - HOLD_NS)
+        return found
+
+    def begin_at(self, T_joined_robot: Pose) -> None:
+        """Let the newest odometry be at a pose; what is before it is dropped. Before the first tick alone."""
+        newest_ns, pose = self._odometry[-1]
+        self.T_joined_odom = T_joined_robot @ pose.inverse() @ self.T_joined_odom
+        self._odometry = [(newest_ns, T_joined_robot)]
+
+    def _odometry_before(self, time_ns: int) -> list[Tick]:
+        """Ticks of the odometry before a time that have not been made yet; the last one is kept to interpolate."""
+        fresh = [Tick(t, pose) for t, pose in self._odometry if self._ticked_ns < t < time_ns]
+        if fresh:
+            self._ticked_ns = fresh[-1].stamp_ns
+        past = sum(t <= time_ns for t, _ in self._odometry)
+        del self._odometry[: max(past - 1, 0)]
+        return fresh
+
+    def _odometry_at(self, time_ns: int) -> Pose | None:
+        """`T_joined_robot` at a time before the newest message, as `logs.joining` has it; None where it is unknown."""
+        stamps, poses = zip(*self._odometry, strict=True)
+        known = Odometry(np.array(stamps), np.array([pose.array() for pose in poses]))
+        (row,) = pose_at(known, np.array([time_ns]))
+        return Pose.from_array(row) if np.isfinite(row).all() else None
+
+    def _is_elsewhere(self, before: Pose, after: Pose, duration_s: float) -> bool:
+        """Whether the robot does not drive so fast."""
+        turn = abs(wrap_angle(after.theta - before.theta))
+        is_far = math.dist(after.position, before.position) > _FASTER * self._robot.speed * duration_s + JOLT_M
+        return bool(is_far or turn > _FASTER * self._robot.turn_rate * duration_s + JOLT_RAD)
+
+
+class Sensor:
+    """Who sends a topic, and whether it is silent."""
+
+    def __init__(self, name: str, now_ns: int, silent_ns: int) -> None:
+        """The sensor of this name has last been heard now; after `silent_ns` without a message it is silent."""
+        self.name, self.heard_ns, self.is_silent = name, now_ns, False
+        self._silent_ns, self._publisher = silent_ns, ""
+
+    def is_of_one(self, publisher: str, now_ns: int) -> bool:
+        """Record who has sent a message that has arrived now; false for one beside another publisher.
+
+        One that takes its place, as after a restart, sends once the other has been silent for some time.
+        """
+        if publisher != self._publisher and self._publisher and now_ns - self.heard_ns < SILENT_NS:
+            return False
+        self._publisher, self.heard_ns = publisher, now_ns
+        return True
+
+    def falls_silent(self, now_ns: int) -> bool:
+        """Whether the sensor has fallen silent since the last call."""
+        was_silent, self.is_silent = self.is_silent, now_ns - self.heard_ns > self._silent_ns
+        return self.is_silent and not was_silent
+
+
+class AheadPilot(Pilot):
+    """Steers a robot whose scans arrive late: by the last step and the odometry since."""
+
+    def __init__(self, navigator: Navigator, guard: Guard) -> None:
+        super().__init__(navigator, guard)
+        self._step: Step | None = None
+        self._since_scan = Pose()  # motion from the last scan to the last step
+        self._guarded = Pose()  # motion from the last scan that the guard knows of
+        self._command = Command()
+
+    def steer(self, step: Step) -> Command:
+        """Record a step; the command in force, which the newest odometry has made, and not this late step."""
+        if step.increment is not None:
+            self._since_scan = self._since_scan @ step.increment.motion
+        if step.scan is not None:
+            # The guard has followed newer odometry: it goes back to where the scan was taken, or the returns of earlier
+            # scans would be moved once more by the motion since.
+            self.guard.moved(self._guarded.inverse() @ self._since_scan)
+            self._since_scan = self._guarded = Pose()
+        self.look(step)
+        self._step = step
+        return self._command
+
+    def ahead(self, motion: Pose, stamp_ns: int) -> Command:
+        """The command of a robot that has moved by `motion` since the last step; a standstill before the first scan."""
+        if self._step is None:
+            return Command()
+        since_scan = self._since_scan @ motion
+        self.guard.moved(self._guarded.inverse() @ since_scan)
+        self._guarded = since_scan
+        self._command = self.command(self._step.pose @ motion, stamp_ns)
+        return self._command
+
 
 ANOTHER_ROBOT, LOST = "another robot", "lost"
 """outcomes of a run that the robot itself ends"""
 
-_NEAR_M = 0.25
-"""A robot that can have driven no farther while it sent nothing is assumed to stand where it was."""
 _WAIT_S = 0.02
-_ANNOUNCED_NS = 12_000_000_000  # after which a killed program is not announced any more: 10 s, and some to notice it
 
 Received = tuple[bool, Message]
 """whether a message is a scan, else odometry; and the message"""
@@ -58,17 +264,15 @@ class LiveRobot:
         `start` gives the newest pose that a user has set since the last call, `T_map_robot`: before the first tick the
         map begins there.
         """
-        self.joiner = ScanJoiner(config.robot)
+        self.joiner = ScanJoiner(config.robot, notices.drop)
         self.odom_frame = "odom"
         self.outcome: str | None = None
         """why the run ends, None as long as the robot can be used"""
         self._receive, self._start, self._now_ns = receive, start, now_ns
         self._reader, self._laser = readers
-        self._notices, self._steering, self._has_no_odometry = notices, steering, config.no_odometry
-        self._publishers = {is_scan: Publishers() for is_scan in (False, True)}
-        self._shared_ns: int | None = None  # since when the commands have a second subscriber
+        self._notices, self._steering = notices, steering
         silent_ns = LONG_SILENT_NS if steering is None else SILENT_NS
-        self._scans, self._odometry = (SilenceDetector(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
+        self._scans, self._odometry = (Sensor(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
         self._due: deque[Tick] = deque()
         self._last: Tick | None = None
         self._newest: tuple[int, Pose] | None = None  # odometry that the robot has not been steered by
@@ -105,92 +309,68 @@ class LiveRobot:
 
     def _read_messages(self) -> None:
         for is_scan, message in self._receive(_WAIT_S):
-            arrival_ns = self._now_ns()
-            sensor = self._scans if is_scan else self._odometry
-            publisher = self._publishers[is_scan].heard(message.publisher, arrival_ns)
-            if publisher == "second":
+            try:
+                found = self._laser.scan(message.data) if is_scan else self._reader.odometry(message.data)
+            except ValueError as error:
+                self._notices.drop(f"{'scan' if is_scan else 'odometry'} unusable", str(error))
+                continue
+            if found is None:
+                continue
+            sensor, arrival_ns = self._scans if is_scan else self._odometry, self._now_ns()
+            silent_s = 1e-9 * (arrival_ns - sensor.heard_ns)
+            if not sensor.is_of_one(message.publisher, arrival_ns):
                 self._end(ANOTHER_ROBOT, f"{sensor.name}: a second publisher sends beside the first")
                 return
-            if publisher == "unknown":
-                continue
-            try:
-                self._read_scan(message.data, arrival_ns) if is_scan else self._read_odometry(message.data, arrival_ns)
-            except ValueError as error:
-                self._notices.unusable("scan" if is_scan else "odometry", error)
-                continue
-            if (silent_s := sensor.heard(arrival_ns)) is not None:
+            if sensor.is_silent:
+                sensor.is_silent = False
                 self._say(f"{sensor.name} again", f"{sensor.name} sends again, after {silent_s:.1f} s")
+            if isinstance(found, RobotPose):
+                self._add_odometry(found, arrival_ns)
+            else:
+                self.joiner.add_scan(*found, arrival_ns)
 
-    def _read_scan(self, data: bytes, arrival_ns: int) -> None:
-        stamp_ns, scan = self._laser.scan(data)
-        if self._has_no_odometry:  # it seems to stand, and moves as its scans show
-            self.joiner.add_odometry(stamp_ns - sweep_ns(len(scan.ranges), scan.time_increment), Pose(), arrival_ns)
-        self.joiner.add_scan(stamp_ns, scan, arrival_ns)
-
-    def _read_odometry(self, data: bytes, arrival_ns: int) -> None:
-        message = self._reader.odometry(data)
-        jump = self.joiner.add_odometry(message.stamp_ns, message.T_odom_robot, arrival_ns)
-        self.odom_frame, self._newest = message.frame or "odom", self.joiner.newest
-        if self.joiner.clock.has_jumped:
+    def _add_odometry(self, found: RobotPose, arrival_ns: int) -> None:
+        """Record odometry. A driven robot is lost after a jump; one that is listened to goes on from where it was."""
+        jump = self.joiner.add_odometry(found.stamp_ns, found.T_odom_robot, arrival_ns)
+        self.odom_frame, self._newest = found.frame or "odom", self.joiner.newest
+        if self.joiner.has_lost_time:
             self._end(LOST, "the robot's clock has jumped")
-        if jump is not None:
-            self._end_if_lost(jump)
-
-    def _end_if_lost(self, jump: OdometryJump) -> None:
-        """End the run unless the robot stands where it was: after a short silence it cannot be far from there."""
-        text = f"odometry has jumped by {jump.jump_m:.1f} m after {jump.pause_s:.1f} s"
-        if jump.reach_m <= _NEAR_M or self._last is None:
-            self._say("odometry jumped", f"{text}; the robot is assumed to stand where it was")
-        else:
-            self._end(LOST, f"{text}, faster than `robot.speed` and `robot.turn_rate`")
+        elif jump and self._steering is not None:
+            self._end(LOST, jump)
+        elif jump:
+            self._say("odometry jumped", f"{jump}; the robot is assumed to stand where it was")
 
     def _set_start(self) -> None:
         """Let the map begin at the pose that the user has set; one that is set later is refused."""
         if self.joiner.newest is None or (T_map_robot := self._start()) is None:
             return
         if self._last is not None or self._due or self._steering is not None:
-            self._say(
-                "pose refused", "a pose is left out: before the first scan of a run that does not drive it is used"
-            )
+            refused = "a pose is left out: before the first scan of a run that does not drive it is used"
+            self._say("pose refused", refused)
             return
         self.joiner.begin_at(T_map_robot)
         x, y, theta = T_map_robot.array()
         self._say("pose set", f"the map begins at {x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f}°")
 
     def _check_silence(self) -> None:
-        self._notices.count(self.joiner.dropped)
-        now_ns = self._now_ns()
-        for sensor in (self._scans,) if self._has_no_odometry else (self._scans, self._odometry):
-            if sensor.falls_silent(now_ns):
+        for sensor in (self._scans, self._odometry):
+            if sensor.falls_silent(self._now_ns()):
                 stopped = "" if self._steering is None else "; the robot is stopped"
                 self._say(f"{sensor.name} silent", f"{sensor.name} is silent{stopped}")
                 self._stop()
 
     def _steer(self) -> None:
-        """Command by the newest odometry; a robot whose laser or odometry is silent stands."""
+        """Command by the newest odometry; a robot stands while a sensor is silent or another may read the commands."""
         if self._steering is None or self._newest is None or self._last is None or self._due:
             return
-        is_unable = self._has_second_subscriber() or self.outcome is not None
-        if is_unable or self._scans.is_silent or self._odometry.is_silent:
+        if is_shared := self._steering.subscribers() > 1:
+            text = "commands: a second subscriber, which may be another robot; the robot is stopped while it is there"
+            self._say("second subscriber", text)
+        if is_shared or self.outcome is not None or self._scans.is_silent or self._odometry.is_silent:
             self._stop()
             return
         (time_ns, pose), self._newest = self._newest, None
         self._steering.send(self._steering.pilot.ahead(self._last.odometry.inverse() @ pose, time_ns))
-
-    def _has_second_subscriber(self) -> bool:
-        """Whether another robot may read the commands; if that stays so, the run ends."""
-        assert self._steering is not None
-        now_ns = self._now_ns()
-        if self._steering.subscribers() <= 1:
-            self._shared_ns = None
-            return False
-        what = "commands: a second subscriber, which may be another robot"
-        if self._shared_ns is None:
-            self._shared_ns = now_ns
-            self._say("second subscriber", f"{what}; the robot is stopped")
-        elif now_ns - self._shared_ns > _ANNOUNCED_NS:
-            self._end(ANOTHER_ROBOT, what)
-        return True
 
     def _end(self, outcome: str, text: str) -> None:
         """End the run; a driven robot is stopped first."""

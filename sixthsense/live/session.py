@@ -15,15 +15,9 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown, shown_name
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
-from sixthsense.live.ahead_pilot import AheadPilot
-from sixthsense.live.diagnostics import TOPIC as DIAGNOSTICS
-from sixthsense.live.diagnostics import diagnostics
-from sixthsense.live.first_look import first_look
-from sixthsense.live.maps import MAP, MapSender
-from sixthsense.live.network import Network, Node, Reader
-from sixthsense.live.publishing import Commands, Stamped, publisher
+from sixthsense.live.network import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Network, Node, Reader, Topic, checked_topic
+from sixthsense.live.publishing import MAP, VERDICT, Commands, MapSender, diagnostics, first_look, publisher
 from sixthsense.live.reading import (
     POSE,
     TRANSFORMS,
@@ -34,8 +28,7 @@ from sixthsense.live.reading import (
     Notices,
     RobotPose,
 )
-from sixthsense.live.robot import LiveRobot, Received, Steering
-from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
+from sixthsense.live.robot import AheadPilot, LiveRobot, Received, Steering
 from sixthsense.logs.log import described_laser
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.logs.transforms import FramePair, TransformTree
@@ -75,39 +68,24 @@ class Topics(NamedTuple):
         scan, odom, cmd_vel = (checked_topic(name, getattr(self, name)) for name in ("scan", "odom", "cmd_vel"))
         return Topics(scan, odom if self.frames is None else _TF, cmd_vel, self.frames)
 
-    @property
-    def odometry(self) -> Topic:
-        """The topic of odometry."""
-        return Topic(self.odom, ODOMETRY if self.frames is None else TRANSFORMS, FAST_SENSOR)
-
 
 class Session:
     """A network joined to listen to one robot, and to drive it if told so."""
 
-    def __init__(
-        self,
-        network: Network,
-        topics: Topics,
-        config: Config,
-        say: Callable[[str], object],
-        transform_ahead_s: float = 0.0,
-    ) -> None:
-        """Join the network and subscribe; `say` prints a line. `configure` and `run` follow.
-
-        The transform of the map is dated `transform_ahead_s` later than its scan.
-        """
-        self._transform_ahead_s = transform_ahead_s
-        self._network, self._node = network, Node(network)
+    def __init__(self, network: Network, topics: Topics, config: Config, say: Callable[[str], object]) -> None:
+        """Join the network and subscribe; `say` prints a line. `configure` and `run` follow."""
         self._topics, self._say = topics, say
         self.config = config
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
         self._reader = MessageReader(topics.frames)
-        self._starts = self._node.reader(Topic("/initialpose", POSE, RELIABLE))
         self._frames = TransformTree()
+        self._node = Node(network)
+        of_odometry = ODOMETRY if topics.frames is None else TRANSFORMS
+        self._starts = self._node.reader(Topic("/initialpose", POSE, RELIABLE))
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
-        self._odometry = self._node.reader(topics.odometry)
-        self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
+        self._odometry = self._node.reader(Topic(topics.odom, of_odometry, FAST_SENSOR))
+        self._statics = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
         self._commands: str | None = None  # their type
         self._open = contextlib.ExitStack()
         self._open.callback(self._node.close)
@@ -125,29 +103,25 @@ class Session:
         is to be driven must subscribe to its commands. InputError if another robot sends on these topics, or reads the
         commands, and if a robot is to be driven though other machines may send to the loopback.
         """
-        check_confined(self._network, self._node, self._say, drive)
+        if leak := self._node.leak:
+            if drive:
+                raise InputError("interface", leak, "the interface of the robot's network")
+            self._say(f"interface: {leak}")
         self._maps = self._open.enter_context(MapSender(self._node.writer(MAP), self._say))
-        laser = self.config.laser
+        laser, robot, topics = self.config.laser, self.config.robot, self._topics
         stated = laser.explicit_fields
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
-        topics = self._topics
-        needed = topics.scan if self.config.no_odometry else f"{topics.scan} and {topics.odom}"
-        self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
-        scans, self._robot, found = self._first_messages(drive)
-        stamps = sorted(scans)
+        self._say(f"waiting for {topics.scan} and {topics.odom}{f', to drive by {topics.cmd_vel}' * drive} ...")
+        stamps, self._robot, last = self._first_messages(drive)
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.upside_down ^= laser.mirrored
-        self._laser.fix()
-        _, scan = self._laser.scan(found)
-        laser = described_laser([scan], laser)
-        robot = self.config.robot
+        laser = described_laser([self._laser.scan(last)[1]], laser)
         if drive:
-            period_s = 1e-9 * float(np.median(np.diff(stamps)))
             robot = robot.replaced(control_period_s=max(robot.control_period_s, _RESPONSE_S))
-            ticks = max(1, math.ceil(period_s / robot.control_period_s - 0.1))
-            laser = laser.replaced(period_ticks=ticks)
+            ticks = math.ceil(1e-9 * float(np.median(np.diff(stamps))) / robot.control_period_s - 0.1)
+            laser = laser.replaced(period_ticks=max(1, ticks))
         self.config = self.config.replaced(laser=laser, robot=robot)
 
     def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
@@ -156,157 +130,126 @@ class Session:
         radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M
         guard = Guard(config, radius_m)
         trace = Trace(config, None, radius_m, name="live")
+        placed = None if prior is None else prior.pose
+        robot: LiveRobot
         with contextlib.ExitStack() as stack:
             pilot = Pilot(Navigator(timeout_outcome="time is up"), guard)
             steering = None
             if drive:
-                believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
-                pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
+                pilot = ahead = AheadPilot(_navigator(config, placed or self._robot.T_odom_robot, radius_m), guard)
                 kind = self._commands or TWIST
                 writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
-                clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)
-                send = stack.enter_context(Commands(writer.send, clock if kind == TWIST_STAMPED else None)).send
+                now_ns = (lambda: robot.joiner.now(time.monotonic_ns())) if kind == TWIST_STAMPED else None
+                send = stack.enter_context(Commands(writer.send, now_ns, self._robot.robot)).send
                 steering = Steering(ahead, send, lambda: writer.readers)
-            readers, start = (
-                (self._reader, self._laser),
-                self._start if prior is None or prior.pose is None else _no_start,
-            )
-            robot = LiveRobot(self._received, readers, self.notices, config, steering, start=start)
-            if config.no_odometry:
-                robot.odom_frame = self._frames.root(self._laser.frame)
+            start = self._start if placed is None else lambda: None
+            robot = LiveRobot(self._received, (self._reader, self._laser), self.notices, config, steering, start=start)
             hooks = [
-                publisher(self._node.writer, robot, self._maps.offer, self._transform_ahead_s),
-                diagnostics(self._node.writer(DIAGNOSTICS).send, pilot),
-                first_look(self._say, not config.no_odometry),
+                publisher(self._node.writer, robot, self._maps.offer),
+                diagnostics(self._node.writer(VERDICT).send, pilot),
+                first_look(self._say),
                 *([] if hook is None else [hook]),
             ]
-            self._discard()
+            for reader in (self._odometry, self._scans):  # what has arrived while the hot loops were compiled
+                reader.take()
             if (first := robot.begin()) is None:
                 if robot.outcome is not None:
                     raise InputError(self._topics.scan, f"found {robot.outcome}", "one robot")
                 raise KeyboardInterrupt
             recorded_drive(robot, first, pilot, trace, combined_hooks(*hooks), prior)
-        trace.outcome = robot.outcome or _by_user(trace.outcome)
+        by_user = ENDED_BY_USER if trace.outcome == "interrupted" and is_ended_by_ctrl_c() else trace.outcome
+        trace.outcome = robot.outcome or by_user
         if drive and trace.outcome == "goal unreachable":
             self._say(_where(config, trace))
         return trace
 
     def _start(self) -> Pose | None:
         """The newest pose that was set on /initialpose since the last call."""
-        found = None
-        for data in self._starts.take():
+        found: list[Pose] = []
+        self._read(self._starts, lambda data: found.append(self._reader.pose_in_map(data)))
+        return found[-1] if found else None
+
+    def _read(self, reader: Reader, use: Callable[[bytes], object]) -> None:
+        """Use the messages that have arrived; those that raise a ValueError are dropped."""
+        for data in reader.take():
             try:
-                found = self._reader.pose_in_map(data)
+                use(data)
             except ValueError as error:
-                self.notices.unusable("/initialpose", error)
-        return found
+                self.notices.drop(f"{reader.topic.name} unusable", str(error))
 
     def _received(self, timeout_s: float) -> Iterator[Received]:
         """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
         self._node.wait(timeout_s)
-        for data in self._transforms.take():
-            try:
-                self._reader.add_transforms(data, self._frames)
-            except ValueError as error:
-                self.notices.unusable("/tf_static", error)
-        for message in () if self.config.no_odometry else self._odometry.messages():
-            if self._reader.has_odometry(message.data):
-                yield False, message
+        for message in self._odometry.messages():
+            yield False, message
         for message in self._scans.messages():
             yield True, message
 
-    def _discard(self) -> None:
-        """Drop what has arrived while the hot loops were compiled."""
-        self._odometry.take()
-        self._scans.take()
+    def _read_frames(self) -> None:
+        self._read(self._statics, lambda data: self._reader.add_transforms(data, self._frames))
 
-    def _first_messages(self, drive: bool) -> tuple[dict[int, Scan], RobotPose, bytes]:
-        """The latest scans by their stamps, the first odometry, and a scan."""
-        scans: dict[int, Scan] = {}
-        odometry: RobotPose | None = RobotPose(0, Pose(), "odom", "") if self.config.no_odometry else None
-        last = b""
-        hint_s = time.monotonic() + _HINT_S
-        while self._is_robot_missing(drive) or len(scans) <= _PERIODS or odometry is None:
+    def _first_messages(self, drive: bool) -> tuple[list[int], RobotPose, bytes]:
+        """The stamps of the latest scans, ns, the first odometry, and the latest scan."""
+        stamps: list[int] = []
+        odometry: RobotPose | None = None
+        last, hint_s = b"", time.monotonic() + _HINT_S
+        while self._is_robot_missing(drive) or len(stamps) <= _PERIODS or odometry is None:
             if is_command_ended():
                 raise KeyboardInterrupt
             if time.monotonic() > hint_s:
                 hint_s = math.inf
-                topics = self._topics
-                odom = topics.odom if topics.frames is None else f"{_TF} {topics.frames}"
-                heard = {topics.scan: bool(scans), odom: odometry is not None}
-                missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
-                missing += [f"nobody who reads {topics.cmd_vel}"] * (drive and not self._commands)
-                if odometry is None and topics.frames is None:
-                    missing[-1] += " (in /tf: `odometry_frames` odom,base_link; none: `no_odometry`)"
-                seen = ", ".join(f"{name} ({kind.rpartition('/')[2]})" for name, kind in self._node.seen().items())
-                networks = "other networks: `interface`, `domain`, `peers`"
-                self._say(f"{' and '.join(missing)} yet (seen: {seen or 'none'}); {networks}")
+                self._say_missing(not stamps, odometry is None, drive and not self._commands)
             for is_scan, message in self._received(_WAIT_S):
                 try:
                     if is_scan:
-                        stamp_ns, scan = self._laser.scan(message.data)
-                        scans, last = {k: scans[k] for k in sorted(scans)[-_PERIODS:]}, message.data
-                        scans[stamp_ns] = scan
+                        stamp_ns, _ = self._laser.scan(message.data)
+                        stamps, last = sorted({*stamps, stamp_ns})[-_PERIODS - 1 :], message.data
                     else:
                         odometry = odometry or self._reader.odometry(message.data)
                 except ValueError as error:
-                    self.notices.unusable("scan" if is_scan else "odometry", error)
-        return scans, odometry, last
+                    self.notices.drop(f"{'scan' if is_scan else 'odometry'} unusable", str(error))
+            self._read_frames()
+        return stamps, odometry, last
+
+    def _say_missing(self, scans: bool, odometry: bool, commands: bool) -> None:
+        """Name what does not come, what does, and where else to look."""
+        topics = self._topics
+        of_odometry = "(in /tf: `odometry_frames` odom,base_link)" if topics.frames is None else str(topics.frames)
+        missing = [f"nothing on {topics.scan}"] * scans + [f"nothing on {topics.odom} {of_odometry}"] * odometry
+        missing += [f"nobody who reads {topics.cmd_vel}"] * commands
+        others = {e.topic: e.type.rpartition("/")[2] for e in self._node.publishers() if e.topic != MAP.name}
+        seen = ", ".join(f"{name} ({kind})" for name, kind in others.items()) or "none"
+        networks = "other networks: `interface`, `domain`, `peers`"
+        self._say(f"{' and '.join(missing)} yet (seen: {seen}); {networks}")
 
     def _is_robot_missing(self, drive: bool) -> bool:
         """Whether nobody takes the commands of a robot that is to be driven; InputError if there is another robot."""
-        is_topic = self._topics.frames is None and not self.config.no_odometry
-        for reader in (self._scans, self._odometry) if is_topic else (self._scans,):
-            check_one_publisher(reader)
+        check_one_publisher(self._scans)
+        if self._topics.frames is None:
+            check_one_publisher(self._odometry)
         self._commands = command_type(self._node, self._topics.cmd_vel) if drive else None
         return drive and self._commands is None
 
     def _mount(self) -> tuple[Pose, bool]:
-        """The mount of the laser on the robot and whether it is upside down.
-
-        It is that of static transforms, or after some time of those of /tf that have not moved meanwhile.
-        """
-        began_s, moving, is_all = time.monotonic(), TransformTree(), False
-        reader = self._node.reader(Topic(_TF, TRANSFORMS, FAST_SENSOR))
-        while True:
-            waited_s = time.monotonic() - began_s
-            is_late = waited_s > (_SENT_S if self._transforms.publishers else _FRAMES_S)
+        """The mount of the laser on the robot by static transforms, and whether it is upside down."""
+        until_s = time.monotonic() + (_SENT_S if self._statics.publishers else _FRAMES_S)
+        laser, found = self._laser.frame, None
+        while found is None and time.monotonic() < until_s:
+            self._node.wait(_WAIT_S)
+            self._read_frames()
             try:
-                robot = self._robot.robot or self._frames.root(self._laser.frame)
-                found = self._frames.mount(robot, self._laser.frame)
-                if not self._robot.robot and robot == self._laser.frame and not is_late:
-                    found = None  # there may be transforms yet
+                robot = self._robot.robot or self._frames.root(laser)
+                is_told = self._robot.robot or laser in self._frames.frames()
+                found = self._frames.mount(robot, laser) if is_told else None
             except ValueError as error:
                 raise InputError("/tf_static", f"{error}, or `laser.mount` X Y THETA") from None
-            if found is not None:
-                return found
-            if is_late and is_all:
-                frames = f"{shown_name(robot)} to {shown_name(self._laser.frame)}"
-                there = ", ".join(map(shown_name, self._frames.frames()[:_SHOWN])) or "none"
-                missing = f"no constant transforms lead from {frames} (frames: {there})"
-                self._say(f"assumed: the laser at the robot's centre, since {missing}")
-                return Pose(), False
-            if is_late:
-                self._frames.add_still(moving, self._robot.frame)
-                is_all = True
-                continue
-            for _ in self._received(_WAIT_S):
-                pass
-            for data in reader.take():
-                try:
-                    self._reader.add_transforms(data, moving, are_static=False)
-                except ValueError as error:
-                    self.notices.unusable(_TF, error)
-
-
-def check_confined(network: Network, node: Node, say: Callable[[str], object], drive: bool) -> None:
-    """Say if other machines may send to the loopback; InputError if a robot is to be driven there."""
-    if not network.is_loopback or node.is_confined:
-        return
-    found = "found the loopback, to which this system lets other machines send"
-    if drive:
-        raise InputError("interface", found, "the interface of the robot's network")
-    say(f"interface: {found}")
+            for reader in (self._odometry, self._scans):
+                reader.take()
+        if found is None:
+            there = ", ".join(map(shown_name, self._frames.frames()[:_SHOWN])) or "none"
+            missing = f"no static transforms lead from {shown_name(robot)} to {shown_name(laser)} (frames: {there})"
+            self._say(f"assumed: the laser at the robot's centre, since {missing}; or `laser.mount` X Y THETA")
+        return found or (Pose(), False)
 
 
 def check_one_publisher(reader: Reader) -> None:
@@ -319,19 +262,14 @@ def check_one_publisher(reader: Reader) -> None:
 def command_type(node: Node, topic: str) -> str | None:
     """The type of the commands that a robot takes, by its subscription; None before there is one.
 
-    `is_stamped` demands TwistStamped. Raises InputError for several subscribers, since each may be a robot, and for
-    one of another type.
+    Raises InputError for several subscribers, since each may be a robot, and for one of another type.
     """
-    found = node.subscribers(topic)
-    if not found:
-        return None
+    found = [endpoint.type for endpoint in node.subscribers(topic)]
     if len(found) > 1:
         raise InputError(topic, f"found {len(found)} subscribers", "one, as each may be a robot that drives")
-    (kind, _) = found[0]
-    allowed = (TWIST, TWIST_STAMPED)
-    if kind in allowed:
-        return kind
-    raise InputError(topic, f"found a subscriber of {shown(kind)}", f"{' or '.join(allowed)}")
+    if found and found[0] not in (TWIST, TWIST_STAMPED):
+        raise InputError(topic, f"found a subscriber of {shown(found[0])}", f"{TWIST} or {TWIST_STAMPED}")
+    return found[0] if found else None
 
 
 def check_drive(config: Config) -> None:
@@ -342,26 +280,14 @@ def check_drive(config: Config) -> None:
         raise InputError(name, "missing", f"{form}, metres, in the frame of the map")
 
 
-def _no_start() -> Pose | None:
-    """No pose is set where a prior map says where the run begins."""
-    return None
-
-
 def _where(config: Config, trace: Trace) -> str:
     """Where goal and robot are, of a run whose goal cannot be reached."""
-    (gx, gy), (x, y, _) = config.goal or (0.0, 0.0), trace.estimates[-1]
-    grid = trace.draw_map()
+    (gx, gy), (x, y, _), grid = config.goal or (0.0, 0.0), trace.estimates[-1], trace.draw_map()
     assert grid is not None
     col, row = np.floor((np.array([gx, gy]) - grid.origin) / config.grid.cell_m).astype(int)
-    seen = grid.seen
-    is_seen = 0 <= row < seen.shape[0] and 0 <= col < seen.shape[1] and seen[row, col]
+    is_seen = 0 <= row < grid.seen.shape[0] and 0 <= col < grid.seen.shape[1] and grid.seen[row, col]
     where = "" if is_seen else ", outside of all that was seen"
     return f"the goal is at {gx:.2f} {gy:.2f}, frame `map`{where}; the robot is at {x:.2f} {y:.2f}"
-
-
-def _by_user(outcome: str) -> str:
-    """The outcome of a run that the loop calls interrupted."""
-    return ENDED_BY_USER if outcome == "interrupted" and is_ended_by_ctrl_c() else outcome
 
 
 def _navigator(config: Config, start: Pose, radius_m: float) -> Navigator:

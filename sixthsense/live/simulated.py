@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self, TextIO
 
@@ -13,64 +12,45 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.network import Network, Node
+from sixthsense.live.network import LATCHED, RELIABLE, Network, Node, Topic
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
-from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.loop.interrupt import deferred_interrupt
 from sixthsense.record.exports import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
-from sixthsense.record.trace import Trace
 from sixthsense.simulation.mission import Mission
 
 SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
 ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))
+CMD_VEL = Topic("/cmd_vel", TWIST, RELIABLE._replace(depth=1))
 TF_STATIC = Topic("/tf_static", TRANSFORMS, LATCHED)
 _ANNOUNCED_S = 0.5
 """A network has told who is in it this long after one has joined: it takes a few messages of it."""
 
 
-def cmd_vel(kind: str = TWIST) -> Topic:
-    """The topic of commands of a type, Twist or TwistStamped."""
-    return Topic("/cmd_vel", kind, RELIABLE._replace(depth=1))
-
-
 class SimulatedRobot:
     """Sends the ticks of a simulated world as messages, stamped with this machine's clock. A context manager."""
 
-    def __init__(
-        self,
-        network: Network,
-        config: Config,
-        commands: str | None,
-        delays_s: Callable[[], Sequence[float]] = lambda: (0.0,),
-    ) -> None:
-        """Join the network; `commands` is the type of those that drive the robot, None if it drives by itself.
-
-        `delays_s` gives for each scan when it is sent, seconds after its time: never, once or more often.
-        """
+    def __init__(self, network: Network, config: Config, is_driven: bool) -> None:
+        """Join the network; `is_driven` by commands, or the robot drives by itself."""
         self._file: TextIO | None = None
         self._node = Node(network)
+        self.leak = self._node.leak
+        """what is wrong with the confinement to this machine"""
         self._joined_s = time.monotonic()
         self._messages, self._reader = Messages(), MessageReader()
-        self._kind = commands
+        self._subscribed = (CMD_VEL,) if is_driven else ()
         self._mount = Pose(*config.laser.mount)
-        self._delays_s = delays_s
-        self._late: list[tuple[float, bytes]] = []
-        self._sent = 0
 
     def begin(self, truth: Path | None = None) -> None:
         """Announce the topics; InputError if another robot or simulator has them.
 
         `truth` is a file for the true trajectory, OSError if it cannot be written.
         """
-        published, subscribed = (SCAN, ODOM), () if self._kind is None else (cmd_vel(self._kind),)
         time.sleep(max(0.0, self._joined_s + _ANNOUNCED_S - time.monotonic()))
-        check_alone(self._node, published, subscribed)
-        self._scans, self._odometry = (self._node.writer(topic) for topic in published)
-        self._commands = [self._node.reader(topic) for topic in subscribed]
-        time.sleep(_ANNOUNCED_S)
-        check_alone(self._node, published, subscribed, before=self._node.participant)
+        check_alone(self._node, (SCAN, ODOM), self._subscribed)
+        self._scans, self._odometry = (self._node.writer(topic) for topic in (SCAN, ODOM))
+        self._commands = [self._node.reader(topic) for topic in self._subscribed]
         self._file = None if truth is None else truth.open("w", encoding="utf-8")
         self._began_ns = time.time_ns()
         mount = self._messages.transform(self._began_ns, ROBOT, LASER, self._mount)
@@ -84,27 +64,16 @@ class SimulatedRobot:
         if self._file is not None:
             self._file.close()
 
-    def on_tick(self, tick: Tick, trace: Trace) -> None:
-        """Send a tick of the loop, as a hook."""
-        self.send(tick)
-
     def send(self, tick: Tick) -> None:
-        """Send odometry, and the scans that are due; write the truth."""
-        stamp_ns, now_s = self._began_ns + tick.stamp_ns, time.monotonic()
-        make = self._messages
+        """Send odometry, and a scan if there is one; write the truth."""
+        stamp_ns, make = self._began_ns + tick.stamp_ns, self._messages
         self._odometry.send(make.serialized(make.odometry(stamp_ns, tick.odometry), ODOMETRY))
         if tick.scan is not None:
             begin_ns = stamp_ns + sweep_ns(len(tick.scan.ranges), tick.scan.time_increment)
-            data = make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN)
-            self._late += [(now_s + delay_s, data) for delay_s in self._delays_s()]
+            self._scans.send(make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN))
         if self._file is not None and tick.truth is not None:
             self._file.write(tum_line(stamp_ns, *tick.truth.array().tolist()))
             self._file.flush()
-        due = [data for due_s, data in self._late if due_s <= now_s]
-        self._late = [entry for entry in self._late if entry[0] > now_s]
-        for data in due:
-            self._scans.send(data)
-            self._sent += 1
 
     def command(self) -> Command | None:
         """The newest command that has arrived since the last call; None without one that can be used."""
@@ -114,10 +83,6 @@ class SimulatedRobot:
                 with contextlib.suppress(ValueError):
                     found = self._reader.command(data, reader.topic.type)
         return found
-
-    def summary(self) -> str:
-        """What was sent, in a line."""
-        return f"scans sent: {self._sent}"
 
 
 def drive_by_commands(robot: SimulatedRobot, config: Config, task: Mission, timeout_s: float) -> str:
@@ -146,13 +111,10 @@ def drive_by_commands(robot: SimulatedRobot, config: Config, task: Mission, time
     return "interrupted"
 
 
-def check_alone(node: Node, published: tuple[Topic, ...], subscribed: tuple[Topic, ...], before: str = "") -> None:
-    """Raise InputError if another program publishes or subscribes to a topic that a simulated robot is to have alone.
-
-    With `before` only programs count whose identifier is smaller: of two that begin at once, one stays.
-    """
+def check_alone(node: Node, published: tuple[Topic, ...], subscribed: tuple[Topic, ...]) -> None:
+    """Raise InputError if another program publishes or subscribes to what a simulated robot is to have alone."""
     for topics, ends, what in ((published, node.publishers, "publisher"), (subscribed, node.subscribers, "subscriber")):
         for topic in topics:
-            if any(not before or end.participant < before for end in ends(topic.name)):
-                found = f"found another {what}"
-                raise InputError(topic.name, found, "one robot or simulator in a network; `domain` N is another one")
+            if ends(topic.name):
+                allowed = "one robot or simulator in a network; `domain` N is another one"
+                raise InputError(topic.name, f"found another {what}", allowed)

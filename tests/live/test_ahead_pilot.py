@@ -10,11 +10,11 @@ from sixthsense.core.geometry import Pose, point_segment_distance
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.ahead_pilot import AheadPilot
+from sixthsense.live.robot import AheadPilot
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
-from sixthsense.navigation.pilot import Pilot
+from sixthsense.navigation.pilot import TURN_RATE, Pilot
 from sixthsense.simulation.world import World
 from sixthsense.slam.slam import Slam
 
@@ -55,26 +55,6 @@ def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_t
     assert moved > 300
 
 
-class MotionOfGuard(Guard):
-    """Keeps by how much the robot is said to have moved since the scan."""
-
-    moved_since = Pose()
-
-    def moved(self, motion: Pose) -> None:
-        self.moved_since = self.moved_since @ motion
-
-
-def test_the_guard_is_told_the_motion_since_the_scan_in_the_axes_of_the_robot_at_the_scan():
-    guard = MotionOfGuard(CONFIG, 0.2)
-    pilot = AheadPilot(Forward(), guard)
-    world = World(HALL, Pose(0.5, 0.3, 0.7), 0.2, CONFIG, np.random.default_rng(0))
-    with Slam(CONFIG, Pose(0.5, 0.3, 0.7)) as slam:
-        pilot.steer(slam.take(world.step(Command())))
-        for k, motion in enumerate((Pose(0.2, 0.1, 0.9), Pose(0.3, -0.2, 1.7), Pose(-0.1, 0.4, 2.2))):
-            pilot.ahead(motion, k)
-            assert guard.moved_since.array() == pytest.approx(motion.array(), abs=1e-12)
-
-
 def test_a_late_scan_leaves_earlier_returns_where_they_are():
     """Scans are older than the newest odometry: the guard goes back to where they were taken."""
     guard = Guard(CONFIG, 0.2)
@@ -101,10 +81,6 @@ def test_a_late_scan_leaves_earlier_returns_where_they_are():
     assert len(far_m) > 50 and max(far_m) < 0.06
 
 
-def test_a_pilot_without_a_step_stands():
-    assert AheadPilot(to_goal(), Guard(CONFIG, 0.2)).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
-
-
 class Forward(Navigator):
     def step(self, pose: Pose, stamp_ns: int) -> Command:
         return Command(0.5, 0.0)
@@ -112,6 +88,7 @@ class Forward(Navigator):
 
 def test_the_guard_knows_the_motion_since_the_scan_even_if_no_step_has_brought_it():
     pilot = AheadPilot(Forward(), Guard(CONFIG, 0.2))
+    assert pilot.ahead(Pose(1.0, 0.0, 0.0), 0) == Command()  # before the first step
     walls = np.array([[[2.0, -1.0], [2.0, 1.0]]])
     tick = World(walls, Pose(), 0.2, CONFIG, np.random.default_rng(0)).step(Command())
     assert tick is not None
@@ -120,4 +97,7 @@ def test_the_guard_knows_the_motion_since_the_scan_even_if_no_step_has_brought_i
     speeds = [pilot.ahead(Pose(x, 0.0, 0.0), k).speed for k, x in enumerate(np.linspace(0.0, 1.85, 60))]
     assert speeds[0] == 0.5 and speeds[-1] == 0.0
     assert all(b <= a + 1e-9 for a, b in itertools.pairwise(speeds))
-    assert pilot.ahead(Pose(), 99).speed == 0.5  # and knows when the robot is back
+    pilot.pace = 0.5
+    assert pilot.ahead(Pose(), 99).speed == 0.25  # and knows when the robot is back
+    pilot.pace = 0.0
+    assert pilot.ahead(Pose(), 99) == Command(0.0, TURN_RATE)

@@ -78,12 +78,9 @@ def test_a_command_is_speed_ahead_and_turn_rate_about_the_vertical_each_up_to_a_
             reader.command(*twist(stamped, speed, turn_rate))
 
 
-def test_a_message_that_is_larger_than_its_kind_may_be_is_not_read():
-    with pytest.raises(ValueError, match="found a message of 8193 bytes, allowed: 8192"):
-        MessageReader().odometry(odometry_message().ljust(8193, b"\0"))
-
-
-def test_a_tree_takes_a_thousand_frames():
+def test_a_message_that_is_too_large_is_not_read_and_a_tree_takes_a_thousand_frames():
+    with pytest.raises(ValueError, match="found a message of 1048577 bytes, allowed: 1048576"):
+        MessageReader().odometry(odometry_message().ljust(1048577, b"\0"))
     tree, reader = TransformTree(), MessageReader()
     links = [MAKE.transform(STAMP, "base_link", f"laser{k}", Pose(0.2)).transforms[0] for k in range(1005)]
     reader.add_transforms(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), tree)
@@ -106,34 +103,12 @@ def test_each_scan_has_its_own_beams_and_range_or_the_range_that_was_stated():
         found.scan(scan_message(range_max=1001.0))
 
 
-def test_a_mount_that_is_sent_in_tf_counts_where_it_stands_still_and_is_not_the_frame_of_odometry():
-    still, moving, reader = TransformTree(), TransformTree(), MessageReader()
-    for k in range(3):
-        links = [
-            MAKE.transform(STAMP, *names, pose).transforms[0]
-            for *names, pose in (
-                ("odom", "base_link", Pose(0.4, 0.3, 0.2)),  # of a robot that stands
-                ("base_link", "laser", Pose(0.2, -0.1, 0.3)),
-                ("base_link", "wheel", Pose(0.1, 0.2, 0.3 * k)),
-            )
-        ]
-        reader.add_transforms(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), moving, False)
-    still.add_still(moving, "odom")
-    assert still.mount("base_link", "laser")[0].array() == pytest.approx([0.2, -0.1, 0.3])
-    assert still.root("laser") == "base_link" and still.mount("base_link", "wheel") is None
-
-
-def test_the_frame_of_a_laser_is_that_of_most_scans_until_it_is_fixed():
+def test_the_laser_is_that_of_the_first_scan():
     found, other = laser(), scan_message(header=MAKE.header(STAMP, "back"))
-    found.scan(scan_message())
-    with pytest.raises(ValueError, match="found a scan of back, allowed: of laser"):
-        found.scan(other)
     found.scan(other)
-    assert found.frame == "back"
-    found.fix()
-    for _ in range(9):
-        with pytest.raises(ValueError, match="found a scan of laser, allowed: of back"):
-            found.scan(scan_message())
+    with pytest.raises(ValueError, match="found a scan of laser, allowed: of back"):
+        found.scan(scan_message())
+    assert found.scan(other)[0] == STAMP
 
 
 def test_what_happens_is_counted_and_said_again_after_ten_seconds():
@@ -141,40 +116,36 @@ def test_what_happens_is_counted_and_said_again_after_ten_seconds():
     notices = Notices(lines.append)
     for s in (0, 9.9, 10, 15):
         notices.event("jump", f"jumped at {s} s", 5 + round(s * 1e9))
-    notices.event("silence", "silent", 5)
     for fault in ("found 7, allowed: 5", "found 8, allowed: 5", "found x, allowed: a number"):
-        notices.unusable("/scan", ValueError(fault))
-    notices.count({"scan late": 2})
-    notices.count({"scan late": 3})
+        notices.drop("scan unusable", fault)
+    for _ in range(3):
+        notices.drop("scan late")
     assert lines == [
-        "jumped at 0 s", "jumped at 10 s", "silent",
-        "/scan: found 7, allowed: 5; dropped", "/scan: found x, allowed: a number; dropped", "dropped: scan late",
+        "jumped at 0 s", "jumped at 10 s", "dropped: scan unusable: found 7, allowed: 5",
+        "dropped: scan unusable: found x, allowed: a number", "dropped: scan late",
     ]  # fmt: skip
-    assert notices.summary() == ["dropped: /scan unusable 3, scan late 3", "events: jump 4, silence 1"]
+    assert notices.summary() == "jump 4, scan late 3, scan unusable 3"
 
 
 def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transforms_are_none():
     reader = MessageReader(FramePair("odom", "base_link"))
-    own, other = (
-        MAKE.serialized(MAKE.transform(STAMP, parent, "base_link", Pose(1.0, 2.0, 0.5)), TRANSFORMS)
-        for parent in ("odom", "map")
+    own, other, unstamped = (
+        MAKE.serialized(MAKE.transform(stamp, parent, "base_link", Pose(1.0, 2.0, 0.5)), TRANSFORMS)
+        for stamp, parent in ((STAMP, "odom"), (STAMP, "map"), (0, "odom"))
     )
-    assert reader.has_odometry(own) and not reader.has_odometry(other)
-    assert reader.has_odometry(b"damaged")  # which is named when it is read
     found = reader.odometry(own)
     assert (found.stamp_ns, found.frame, found.robot) == (STAMP, "odom", "base_link")
     np.testing.assert_allclose(found.T_odom_robot.array(), [1.0, 2.0, 0.5])
-    unstamped = MAKE.serialized(MAKE.transform(0, "odom", "base_link", Pose(1.0, 2.0, 0.5)), TRANSFORMS)
-    for data, said in ((other, "no transform odom -> base_link, allowed: one"), (unstamped, "the stamp 0 s 0 ns")):
-        with pytest.raises(ValueError, match=f"found {said}"):
-            reader.odometry(data)
+    assert reader.odometry(other) is None
+    with pytest.raises(ValueError, match="found the stamp 0 s 0 ns"):
+        reader.odometry(unstamped)
 
 
 @pytest.mark.parametrize("changes", [
     {"angle_min": math.nan}, {"angle_increment": 0.0}, {"angle_increment": math.inf},
     {"ranges": np.zeros(0, np.float32)}, {"ranges": np.zeros(1, np.float32)},
     {"ranges": np.zeros(100_001, np.float32), "angle_increment": 1e-5}, {"header": MAKE.header(0, "laser")},
-    {"header": ill_stamped()}, {"header": MAKE.header(STAMP, "x" * 257)},
+    {"header": ill_stamped()},
 ])  # fmt: skip
 def test_a_scan_with_numbers_that_are_not_allowed_is_named(changes):
     with pytest.raises(ValueError, match=r"found .*, allowed: "):
@@ -217,15 +188,6 @@ def pose_message(frame: str = "map") -> bytes:
 
 def test_a_pose_of_a_user_is_in_the_frame_of_the_map():
     assert MessageReader().pose_in_map(pose_message("/map")).array() == pytest.approx((1.2, -3.4, 0.7))
-
-
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        (pose_message("odom"), "found a pose in the frame odom, allowed: in map"),
-        (pose_message()[:60], "found a message that cannot be read"),
-    ],
-)
-def test_a_pose_in_another_frame_or_of_damaged_bytes_is_refused(data, said):
-    with pytest.raises(ValueError, match=said):
-        MessageReader().pose_in_map(data)
+    for data, said in ((pose_message("odom"), "in the frame odom, allowed: in map"), (pose_message()[:60], "be read")):
+        with pytest.raises(ValueError, match=said):
+            MessageReader().pose_in_map(data)

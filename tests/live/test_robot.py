@@ -1,8 +1,6 @@
 """A live robot without a network and without a clock: what it makes of messages, when it stops, and how it is found."""
 
-import gc
 import math
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,10 +9,9 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
-from sixthsense.live.robot import LiveRobot, Steering
+from sixthsense.live.robot import AheadPilot, LiveRobot, Steering
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -36,7 +33,7 @@ class Forward(Navigator):
 class Bench:
     """A robot on an arc, and whose sensors can be switched off; time passes while it waits."""
 
-    def __init__(self, drives: bool = True, **config: object) -> None:
+    def __init__(self, drives: bool = True) -> None:
         self.now_ms = 0
         self.has_scans = self.has_odometry = True
         self.subscribers = 1
@@ -54,7 +51,7 @@ class Bench:
         receive, now_ns = self._receive, lambda: self.now_ms * MS
         self.start: Pose | None = None
         steers, readers = steering if drives else None, (reader, laser)
-        self.robot = LiveRobot(receive, readers, notices, preset(**config), steers, now_ns, self._set)
+        self.robot = LiveRobot(receive, readers, notices, preset(), steers, now_ns, self._set)
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
     def ahead(self, motion: Pose, stamp_ns: int) -> Command:
@@ -156,17 +153,6 @@ def test_a_robot_that_is_listened_to_is_silent_after_two_seconds():
     bench.slam.close()
 
 
-def test_without_odometry_the_laser_alone_is_waited_for_and_the_robot_stands_at_each_scan():
-    bench, ticks = Bench(drives=False, no_odometry=True), []
-    bench.has_odometry = False
-    while bench.now_ms < 4000:
-        ticks.append(bench.robot.step(Command()))
-    stamps_ms = [(tick.stamp_ns - BEGAN) / MS for tick in ticks if tick.scan is not None]
-    assert stamps_ms == pytest.approx(range(100, 4001, 100), abs=1e-5)
-    assert not bench.lines and {tick.odometry for tick in ticks} == {Pose()}
-    bench.slam.close()
-
-
 def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
     bench.run(1000)
     bench.publishers = ["robot", "other"]
@@ -175,44 +161,44 @@ def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
     assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command()
     assert bench.lines == ["odometry: a second publisher sends beside the first; the robot is stopped"]
     bench.turn(1400)
-    assert bench.commands(1040) == {Command()}
+    assert bench.commands(1020) == {Command()}
 
 
 def test_a_publisher_that_takes_the_place_of_another_is_used_once_the_first_is_silent(bench):
     bench.run(1000)
-    bench.publishers, bench.off = ["again"], Pose(5.0, -4.0, 2.0)
+    bench.has_odometry = False
+    bench.turn(1500)
+    bench.has_odometry, bench.publishers = True, ["again"]
     bench.run(2000)
     assert bench.robot.outcome is None and bench.sent[-1][1] == FORWARD
-    why = "after 0.4 s; the robot is assumed to stand where it was"
-    assert any(line.startswith("odometry has jumped by ") and line.endswith(why) for line in bench.lines)
 
 
-def test_odometry_that_jumps_within_a_moment_leaves_the_robot_where_it_was(bench):
+def test_odometry_that_jumps_goes_on_from_where_it_was_where_a_robot_is_listened_to():
+    bench = Bench(drives=False)
     bench.run(1000)
     bench.off = Pose(5.0, -4.0, 2.0)
     bench.run(1500)
     (line,) = bench.lines
-    assert line.endswith("the robot is assumed to stand where it was") and bench.commands(200) == {FORWARD}
+    assert line.startswith("odometry has jumped by ") and line.endswith("is assumed to stand where it was")
     tick = bench.last
     expected = bench.pose_at((tick.stamp_ns - BEGAN) / MS)
     assert tick.odometry.array() == pytest.approx(expected.array(), abs=0.02)
     T_map_robot = Pose(1.0, 2.0, 0.5)
     sent = bench.off @ expected  # what the robot's own odometry is in the map
     assert (bench.robot.odom_in_map(tick, T_map_robot) @ sent).array() == pytest.approx(T_map_robot.array(), abs=0.02)
+    bench.slam.close()
 
 
-@pytest.mark.parametrize("drives", [True, False])
-def test_a_robot_that_may_be_elsewhere_is_lost_and_the_run_ends(drives):
-    bench = Bench(drives)
+@pytest.mark.parametrize("pause_ms", [0, 800])
+def test_a_driven_robot_stands_after_a_jump_of_the_odometry_and_the_run_ends(bench, pause_ms):
     bench.run(1000)
-    bench.has_odometry = False
-    bench.turn(1800)
+    bench.has_odometry = not pause_ms
+    bench.turn(1000 + pause_ms)
     bench.has_odometry, bench.off = True, Pose(5.0, -4.0, 2.0)
     while bench.robot.step(Command()) is not None:
         assert bench.now_ms < 2200
-    assert bench.robot.outcome == "lost" and (not drives or bench.sent[-1][1] == Command())
-    assert any("faster than `robot.speed` and `robot.turn_rate`" in line for line in bench.lines)
-    bench.slam.close()
+    assert bench.robot.outcome == "lost" and bench.sent[-1][1] == Command()
+    assert any(line.startswith("odometry has jumped by ") and "robot is stopped" in line for line in bench.lines)
 
 
 def test_a_clock_that_jumps_ends_the_run_and_a_single_wrong_stamp_does_not(bench):
@@ -229,38 +215,14 @@ def test_a_clock_that_jumps_ends_the_run_and_a_single_wrong_stamp_does_not(bench
     assert bench.lines[-1] == "the robot's clock has jumped; the robot is stopped"
 
 
-def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if_it_stays(bench):
+def test_a_driven_robot_stands_while_another_subscriber_of_its_commands_is_there(bench):
     bench.run(1000)
     bench.subscribers = 2
-    bench.run(12_900)
-    assert bench.commands(1100) == {Command()} and bench.robot.outcome is None
+    bench.run(2000)
+    assert bench.commands(1100) == {Command()} and "second subscriber" in bench.lines[-1]
     bench.subscribers = 1
-    bench.run(13_500)
-    assert bench.sent[-1][1] == FORWARD
-    bench.subscribers = 2
-    while bench.robot.step(Command()) is not None:
-        assert bench.now_ms < 26_000
-    assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command() and bench.now_ms > 25_500
-
-
-def test_the_source_keeps_nothing_of_what_has_passed(bench):
-    """What grows with time is the record, and the map with the way driven."""
-
-    def memory_after(until_ms: int) -> int:
-        while bench.now_ms < until_ms:
-            bench.robot.step(Command())
-        bench.sent.clear()
-        bench.asked.clear()
-        gc.collect()
-        return tracemalloc.get_traced_memory()[0]
-
-    gc.collect()  # what is taken from Python's free lists is not traced; they are empty now
-    tracemalloc.start()
-    try:
-        before = memory_after(32_000)
-        assert memory_after(67_000) - before < 50_000
-    finally:
-        tracemalloc.stop()
+    bench.run(2500)
+    assert bench.sent[-1][1] == FORWARD and bench.robot.outcome is None
 
 
 def test_a_map_begins_where_the_robot_is_set_to_before_the_first_scan_and_a_later_pose_is_refused():

@@ -15,12 +15,11 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.live.joining import ScanJoiner
-from sixthsense.live.publishing import POSE, TF, publisher
+from sixthsense.live.publishing import PLAN, POSE, TF, publisher
 from sixthsense.live.reading import TRANSFORMS, LaserReader, MessageReader, Notices
-from sixthsense.live.robot import LiveRobot
+from sixthsense.live.robot import LiveRobot, ScanJoiner
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
-from sixthsense.logs.transforms import FramePair, TransformTree
+from sixthsense.logs.transforms import TransformTree
 from sixthsense.record.messages import Messages
 
 MAKE = Messages()
@@ -47,19 +46,6 @@ def test_odometry_comes_back_to_the_nanosecond_and_its_heading_is_that_of_a_tilt
     assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-12)
     tilt(message.pose.pose.orientation, turned(pose.theta, tilted, size))
     found = MessageReader().odometry(MAKE.serialized(message, ODOMETRY))
-    assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-9)
-
-
-@some
-@given(stamps_ns, poses, poses, tilts)
-def test_odometry_in_tf_is_the_last_transform_of_its_frames(stamp, pose, other, tilted):
-    links = [MAKE.transform(at, parent, child, place).transforms[0] for at, parent, child, place in (
-        (stamp - 1, "/wheels", "base", other), (stamp, "wheels", "base", pose), (stamp, "base", "wheels", other),
-    )]  # fmt: skip
-    tilt(links[1].transform.rotation, turned(pose.theta, tilted))
-    data = MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS)
-    found = MessageReader(FramePair("wheels", "base")).odometry(data)
-    assert (found.stamp_ns, found.frame, found.robot) == (stamp, "wheels", "base")
     assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-9)
 
 
@@ -92,7 +78,7 @@ class Sink:
     """A node that keeps what is sent."""
 
     def __init__(self) -> None:
-        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF)}
+        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF, PLAN)}
 
     def writer(self, topic: Any) -> Any:
         keep = self.sent[topic.name].append
@@ -112,6 +98,7 @@ def a_trace(estimate: Pose, key: Pose, key_cov: np.ndarray, since: Pose, since_c
         key_estimates=[None, SimpleNamespace(pose=key, pose_cov=key_cov)],
         since_key=[(7.0, 8.0, 2.0), since.array()],
         live=SimpleNamespace(since_cov=since_cov),
+        plans=[],
     )
 
 
@@ -123,12 +110,18 @@ def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     robot, sink, estimate = robot_with(T_joined_odom), Sink(), key @ since
     trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
     offered: list[Any] = []
-    publish = publisher(sink.writer, robot, lambda *of: offered.append(of), 0.37)
+    publish = publisher(sink.writer, robot, lambda *of: offered.append(of))
     publish(Tick(time_ns, odometry), trace)
     assert not any(sink.sent.values())
     publish(Tick(time_ns, odometry, a_scan()), trace)
+    trace.plans.append(np.array([[1.5, 2.5], [3.5, -0.5], [4.5, 0.7]]))
+    for _ in range(2):
+        publish(Tick(time_ns + 1, odometry), trace)
+    (plan,) = sink.sent["/plan"]
+    found = [(at.pose.position.x, at.pose.position.y) for at in plan.poses]
+    assert found == [(1.5, 2.5), (3.5, -0.5), (4.5, 0.7)] and plan.header.frame_id == "map"
     (pose,), ((link,),) = sink.sent["/pose"], (message.transforms for message in sink.sent["/tf"])
-    assert (stamp_ns(pose), stamp_ns(link)) == (time_ns, time_ns + 370 * MS)
+    assert (stamp_ns(pose), stamp_ns(link)) == (time_ns, time_ns + 200 * MS)
     assert offered == [(time_ns, trace)]
     assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (estimate.x, estimate.y)
     heading = 2.0 * math.atan2(pose.pose.pose.orientation.z, pose.pose.pose.orientation.w)
@@ -156,7 +149,8 @@ def test_scans_are_joined_to_the_line_that_odometry_draws(began, start, v, w, pa
     def pose_at(ns: int) -> Pose:
         return Pose(start.x + 1e-9 * v * ns, start.y - 2e-9 * v * ns, start.theta + 1e-9 * w * ns)
 
-    joiner, ticks = ScanJoiner(preset("log").robot.replaced(speed=9.0, turn_rate=9.0)), []
+    dropped: list[str] = []
+    joiner, ticks = ScanJoiner(preset("log").robot.replaced(speed=9.0, turn_rate=9.0), dropped.append), []
     for k in range(40):
         ns = 20 * MS * k
         joiner.add_odometry(began + ns, pose_at(ns), ns)
@@ -166,7 +160,7 @@ def test_scans_are_joined_to_the_line_that_odometry_draws(began, start, v, w, pa
             joiner.add_scan(began + ns - 2 * MS * part - taken_ns, scan, ns)
         ticks += joiner.ticks(ns)
     scans = [tick for tick in ticks if tick.scan is not None]
-    assert len(scans) == 10 and not joiner.dropped
+    assert len(scans) == 10 and not dropped
     for k, tick in enumerate(scans):
         ns = 20 * MS * (4 * k + 3) - 2 * MS * part
         assert tick.stamp_ns == pytest.approx(began + ns, abs=2)  # increments are in float32
