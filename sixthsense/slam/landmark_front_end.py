@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sixthsense.config.parts import EXTRACTORS
-from sixthsense.config.tree import check_returned, part_of
-from sixthsense.core.landmarks import Observation
+from sixthsense.config.tree import part_of
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Closure
 from sixthsense.slam.association.proposed import ProposedLandmarks
@@ -22,6 +21,7 @@ from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
+from sixthsense.slam.features.extractor import check_features
 from sixthsense.slam.front_end import Evidence, Finished, FrontEndSetup, Keyframe, is_due
 from sixthsense.slam.motion_source import ByWheels, Motion
 from sixthsense.slam.thinning import Thinning
@@ -71,10 +71,7 @@ class LandmarkFrontEnd:
             with self._clock("extract"):
                 features = self._extractor.extract(evidence.scan)
             if self._config.extractor not in EXTRACTORS.shipped:
-                name = f"extractor {self._config.extractor}"
-                check_returned(name, "extract", features, Features)
-                for one in features.observations:
-                    check_returned(name, "extract", one, Observation, z=(2,), cov=(2, 2))
+                check_features(f"extractor {self._config.extractor}", features)
         with self._clock("associate"):
             association = self._associated(features, evidence)
         if association.slip is not None:

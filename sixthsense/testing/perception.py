@@ -20,14 +20,14 @@ from sixthsense.simulation.world import World
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, make_estimator
 from sixthsense.slam.features import Extractor
-from sixthsense.slam.features.extractor import features_fault
+from sixthsense.slam.features.extractor import check_features
 from sixthsense.slam.front_end import Evidence, FrontEnd, FrontEndSetup
 from sixthsense.slam.motion_source import make_motion
 from sixthsense.slam.scans.graph import PlacedScans
 from sixthsense.slam.scans.known_places import KnownPlaces
 from sixthsense.slam.scans.place_search import Candidate, ExpectedPoses, PlaceQuery, is_same_place
 from sixthsense.slam.scans.returns import ScanStore
-from sixthsense.testing.laws import Laws, agree, at_most, equal, refuse
+from sixthsense.testing.laws import Laws, agree, at_most, equal
 
 EXTRACTOR_LAWS, FRONT_END_LAWS, PLACE_LAWS = Laws(), Laws(), Laws()
 
@@ -65,7 +65,7 @@ def _seen(part: Any) -> list[tuple[Pose, Observation]]:
     for _ in range(_SCANS):
         for pose in _POSES:
             features = extractor.extract(_scan(pose, config, rng))
-            refuse(features_fault(features))
+            check_features("extractor", features)
             found += [(pose, observation) for observation in features.observations]
     return found
 
@@ -111,7 +111,7 @@ def an_empty_scan_has_no_observation(part: Any) -> None:
     config = preset()
     scan = Scan.from_config(np.full(config.laser.beams, np.inf), config.laser)
     found = extractor_of(part, config).extract(scan)
-    refuse(features_fault(found))
+    check_features("extractor", found)
     equal("observations", len(found.observations), 0)
 
 

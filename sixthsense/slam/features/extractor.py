@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from sixthsense.config.errors import PartError
+from sixthsense.config.tree import check_returned
+from sixthsense.core.covariance import covariance_fault
 from sixthsense.core.landmarks import Observation
 from sixthsense.core.laser import Scan
 from sixthsense.slam.features.extraction import Features
+
+_SINGULAR = 1e-15
+"""least eigenvalue of a covariance, over its largest entry"""
 
 
 class Extractor(Protocol):
@@ -31,27 +37,10 @@ class Extractor(Protocol):
         ...
 
 
-def features_fault(found: object) -> str:
-    """What is wrong with what an extractor returns; "" if nothing."""
-    if not isinstance(found, Features):
-        return f"found a {type(found).__name__}, allowed: Features"
-    if np.asarray(found.walls).shape[1:] != (2, 2) or not np.isfinite(found.walls).all():
-        return f"found walls {np.shape(found.walls)}, allowed: finite numbers, (W, 2, 2)"
-    for k, observation in enumerate(found.observations):
-        if fault := _observation_fault(observation):
-            return f"observation {k}: {fault}"
-    return ""
-
-
-def _observation_fault(observation: Observation) -> str:
-    if not isinstance(observation, Observation):
-        return f"found a {type(observation).__name__}, allowed: an Observation"
-    z, cov = np.asarray(observation.z), np.asarray(observation.cov)
-    if z.shape != (2,) or not np.isfinite(z).all():
-        return f"found z {z.tolist()}, allowed: (2,) finite numbers"
-    if cov.shape != (2, 2) or not np.isfinite(cov).all():
-        return f"found cov {cov.tolist()}, allowed: (2, 2) finite numbers"
-    asymmetry, least = float(np.abs(cov - cov.T).max()), float(np.linalg.eigvalsh(cov)[0])
-    if asymmetry > 1e-9 * np.abs(cov).max() or least <= 0.0:
-        return f"found cov {cov.tolist()} with an eigenvalue of {least:.3g}, allowed: symmetric, above 0"
-    return ""
+def check_features(part: str, found: Any) -> None:
+    """Raise PartError unless what an extractor returns are features with finite walls, and valid observations."""
+    check_returned(part, "extract", found, Features, walls=(None, 2, 2))
+    for one in found.observations:
+        check_returned(part, "extract", one, Observation, z=(2,), cov=(2, 2))
+        if fault := covariance_fault(np.asarray(one.cov), lowest=_SINGULAR):
+            raise PartError(part, f"extract: cov has {fault}")
