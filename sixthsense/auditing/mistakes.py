@@ -28,13 +28,11 @@ _NEAR = 1.5  # times: the errors over what a mistake would make of them
 def of_estimate(poses: Poses) -> Iterator[str]:
     """A line for each mistake that an estimate shows without a truth: order, degrees, rank."""
     assert poses.covs is not None
-    count, swapped = len(poses), False
-    if poses.covs.shape[1] == 6:
-        # A robot on a floor states x, y and yaw: rows 0, 1 and 5, or with the rotation first 2, 3 and 4.
-        stated = np.einsum("kii->ki", poses.covs).any(axis=0)
-        swapped = stated.tolist() == [False, False, True, True, True, False]
-        if swapped:
-            yield "only the variances of z, roll, pitch are stated, as with the rotation first (order rotation)"
+    count = len(poses)
+    # A robot on a floor states x, y and yaw: rows 0, 1 and 5, or with the rotation first 2, 3 and 4.
+    stated = np.einsum("kii->ki", poses.covs).any(axis=0).tolist()
+    if swapped := stated == [False, False, True, True, True, False]:
+        yield "only the variances of z, roll, pitch are stated, as with the rotation first (order rotation)"
     covs = (poses.in_plane() if not poses.is_planar and is_of_plane(poses) else poses).covs
     assert covs is not None
     n = POSITION[covs.shape[1]]
@@ -113,6 +111,9 @@ def of_poses(pair: Pair, align: Align) -> Iterator[str]:
         yield f"the frames differ: aligned by all poses (`align` all) {falls}"
     off = wrap_angle(headings[0] - headings[1] + math.atan2(turn[1, 0], turn[0, 0]))
     mean = complex(np.mean(np.exp(1j * off)))
+    if abs(mean) < _UNLIKE:
+        yield f"{WRONG}: headings of {names[0]} do not turn as those of {names[1]}: are they in degrees?"
+        return
     if abs(mean) > _STEADY and abs(np.angle(mean)) > _TURNED_RAD:
         differ = f"headings differ by {math.degrees(np.angle(mean)):.0f}° all along, beside the frames"
         yield f"{differ}: the two have other axes of the body"
@@ -135,6 +136,5 @@ def _other_clock(pair: Pair, off: Array, headings: Array) -> Iterator[str]:
     delay = -float(rate @ off) / power if power > 0.0 else 0.0
     left = rms((off + delay * rate)[:, None]) / max(rms(off[:, None]), 1e-12)
     if left < 1.0 - _FITS and abs(delay) > float(np.median(np.diff(seconds))):
-        word = "late" if delay > 0.0 else "early"
-        late = f"stamps of the estimate are about {abs(delay):.2g} s {word}, by the errors of headings in turns"
-        yield f"{late} (otherwise set `time_offset` {-delay:.2f})"
+        late = f"about {abs(delay):.2g} s {'late' if delay > 0.0 else 'early'}, by the errors of headings in turns"
+        yield f"stamps of the estimate are {late} (otherwise set `time_offset` {-delay:.2f})"

@@ -44,11 +44,14 @@ EPOCH_NS = np.round(1e9 * (STAMPS + 1.7e9)).astype(np.int64)
 TURNING = np.column_stack([TRUTH[:, :2], np.unwrap(HEADING)])
 ALONG = np.column_stack([TRUTH[:, :2], np.unwrap(HEADING) + 0.025])  # the way goes along the heading
 
+ASIDE = TURNING + np.array([0.0, 0.0, 1.0])
+
 
 @pytest.mark.parametrize(("given", "said"), [
     ({"estimate": (TRUTH + ERROR) * DEGREES}, "found headings of odometry, along which"),
     ({"estimate": (ALONG + ERROR * 0.01) * DEGREES}, "robot goes only if they are degrees"),
     ({"estimate": (TURNING + ERROR) * DEGREES, "truth": TURNING * DEGREES}, "headings"),
+    ({"estimate": (ASIDE + ERROR) * DEGREES, "truth": ASIDE}, "cannot be right: headings of estimate do not turn as"),
     ({"covs": np.broadcast_to(COV * np.outer(DEGREES, DEGREES), (N, 3, 3))}, "are the variances in degrees²?"),
     ({"covs": np.broadcast_to(np.diag(np.sqrt(np.diag(COV))), (N, 3, 3))}, "are these sigmas in place of variances?"),
     ({"estimate": (TRUTH + ERROR)[:, [1, 0, 2]]}, "fit the truth as y, x, theta, not as x, y, theta"),
