@@ -216,19 +216,14 @@ def _best_cell(
     return best, x, y
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _cells(pyramid: Pyramid, points: Array, window: Window, turns: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Columns and rows (turns, N) of the points at the window's centre, for each heading."""
-    columns, rows = np.empty((turns, len(points)), np.int32), np.empty((turns, len(points)), np.int32)
-    for a in range(turns):
-        theta = window.centre[2] + (a - turns // 2) * STEP_RAD
-        c, s = math.cos(theta), math.sin(theta)
-        for k in range(len(points)):
-            x = window.centre[0] + c * points[k, 0] - s * points[k, 1] - pyramid.x0
-            y = window.centre[1] + s * points[k, 0] + c * points[k, 1] - pyramid.y0
-            # The floor, not the nearest cell: whole shifts must keep the bounds valid.
-            columns[a, k], rows[a, k] = math.floor(x / CELL_M), math.floor(y / CELL_M)
-    return columns, rows
+    theta = window.centre[2] + (np.arange(turns) - turns // 2)[:, None] * STEP_RAD
+    c, s, (px, py) = np.cos(theta), np.sin(theta), points.T
+    x = window.centre[0] + c * px - s * py - pyramid.x0
+    y = window.centre[1] + s * px + c * py - pyramid.y0
+    # The floor, not the nearest cell: whole shifts must keep the bounds valid.
+    return np.floor(x / CELL_M).astype(np.int32), np.floor(y / CELL_M).astype(np.int32)
 
 
 _BIN_M, _BINS = 0.75, 24  # of distance; the last one has all that is farther
@@ -237,25 +232,18 @@ BINS = _BINS * _ANGLES**2
 
 
 def appearance(surfaces: Array) -> Array:
-    """(BINS,) unit vector of points with normals (N, 4), x, y and the normal's; the product of two is 1 if alike."""
+    """(BINS,) unit vector of points with normals (N, 4), x, y and the normal's; the product of two is 1 if alike.
+
+    A point without a normal, (0, 0), is in no pair.
+    """
     rows = np.linspace(0, len(surfaces) - 1, min(len(surfaces), MOST_POINTS)).astype(np.int64)
-    counts = _pair_counts(np.ascontiguousarray(surfaces[rows]))
-    return np.asarray(np.sqrt(counts / max(float(counts.sum()), 1.0)))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _pair_counts(surfaces: Array) -> Array:
-    """(BINS,) how many pairs of points there are of each kind; a point without a normal is in none."""
-    counts = np.zeros(BINS)
-    for i in range(len(surfaces)):
-        for j in range(i):
-            (x, y, nx, ny), (u, v, mx, my) = surfaces[i], surfaces[j]
-            if (nx == 0.0 and ny == 0.0) or (mx == 0.0 and my == 0.0):
-                continue
-            dx, dy = u - x, v - y
-            distance = max(math.hypot(dx, dy), CELL_M)
-            along = (abs(nx * dx + ny * dy) + abs(mx * dx + my * dy)) / distance
-            k = min(int(distance / _BIN_M), _BINS - 1)
-            k = _ANGLES * k + min(int(_ANGLES * abs(nx * mx + ny * my)), _ANGLES - 1)
-            counts[_ANGLES * k + min(int(0.5 * _ANGLES * along), _ANGLES - 1)] += 1.0
-    return counts
+    kept = surfaces[rows]
+    kept = kept[kept[:, 2:].any(axis=1)]
+    i, j = np.tril_indices(len(kept), -1)
+    off, (n, m) = kept[j, :2] - kept[i, :2], (kept[i, 2:], kept[j, 2:])
+    distance = np.maximum(np.hypot(off[:, 0], off[:, 1]), CELL_M)
+    along = (np.abs((n * off).sum(axis=1)) + np.abs((m * off).sum(axis=1))) / distance
+    by_angle = np.minimum(_ANGLES * np.array([np.abs((n * m).sum(axis=1)), 0.5 * along]), _ANGLES - 1).astype(np.int64)
+    k = _ANGLES**2 * np.minimum(distance / _BIN_M, _BINS - 1).astype(np.int64) + _ANGLES * by_angle[0] + by_angle[1]
+    counts = np.bincount(k, minlength=BINS)
+    return np.asarray(np.sqrt(counts / max(len(k), 1)))
