@@ -95,12 +95,6 @@ def pose_at(odometry: Odometry, at_ns: Stamps, longest_s: float = GAP_S) -> Arra
     return np.asarray(out)
 
 
-def pose_between(before: tuple[int, Pose], after: tuple[int, Pose], at_ns: int) -> Pose:
-    """The same at a stamp between two poses, each with its stamp, ns."""
-    known = Odometry(np.array([before[0], after[0]]), np.array([before[1].array(), after[1].array()]))
-    return Pose.from_array(pose_at(known, np.array([at_ns]), np.inf)[0])
-
-
 def joined(sightings: Sequence[Sighting], odometry: Odometry | None) -> list[Tick]:
     """One tick per scan and per pose, and one for both with the same stamp; at least 1 ns apart, none before 0.
 

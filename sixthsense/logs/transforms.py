@@ -95,12 +95,6 @@ class TransformTree:
         """Add a static transform, in place of an earlier one of that child."""
         self.links[child] = Link(parent, T_parent_child)
 
-    def add_still(self, other: TransformTree, odometry: str) -> None:
-        """Add the links of another tree that do not move, but for those of the frame of odometry: a robot may stand."""
-        for child, link in other.links.items():
-            if not link.moves and odometry not in (link.parent, child) and child not in self.links:
-                self.add_static(link.parent, child, link.first)
-
     def root(self, frame: str) -> str:
         """The last frame on the way from a frame to its root that is fixed to it."""
         return [*self._still(frame)][-1]

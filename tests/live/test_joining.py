@@ -83,14 +83,6 @@ def test_odometry_that_begins_anew_twice_goes_on_from_where_it_was_and_tells_its
     assert (joiner.T_joined_odom @ way[2]).array() == pytest.approx(way[0].array())
 
 
-def test_ticks_begin_at_a_pose_from_the_newest_odometry_on():
-    driver, wanted = Driver().odometry(0, 20, 40), Pose(-3.0, 5.0, 2.2)
-    driver.joiner.begin_at(wanted)
-    driver.odometry(60, 80).scan(70, arrival_ms=80)
-    expected = wanted @ pose_at(40).inverse() @ pose_at(70)
-    assert driver.scans_ms == [70] and driver.ticks[-1].odometry.array() == pytest.approx(expected.array(), abs=1e-4)
-
-
 @pytest.mark.parametrize(("pause_s", "off", "is_anew"), [
     (7.0, Pose(0.0, 4.6), False), (7.0, Pose(0.0, 4.8), True), (7.0, Pose(-4.8), True), (0.02, Pose(0.3, -0.3), False),
     (0.02, Pose(0.4, -0.4), True), (0.02, Pose(theta=-0.5), False), (0.02, Pose(theta=0.55), True),

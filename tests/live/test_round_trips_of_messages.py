@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from general import covariances, matrix, numbers, poses, some, stamps_ns, tilts, turned
+from general import covariances, matrix, poses, some, stamps_ns, tilts, turned
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -17,7 +17,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.live.publishing import PLAN, POSE, TF, publisher
 from sixthsense.live.reading import TRANSFORMS, LaserReader, MessageReader, Notices
-from sixthsense.live.robot import LiveRobot, ScanJoiner
+from sixthsense.live.robot import LiveRobot
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
 from sixthsense.logs.transforms import TransformTree
 from sixthsense.record.messages import Messages
@@ -141,30 +141,3 @@ def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     at = T_map_odom @ (T_joined_odom.inverse() @ odometry)
     assert at.position == pytest.approx(estimate.position, abs=1e-9)
     assert wrap_angle(at.theta - estimate.theta) == pytest.approx(0.0, abs=1e-9)
-
-
-@some
-@given(stamps_ns.map(lambda ns: ns + HOUR), poses, numbers(0.1, 0.4), numbers(0.1, 0.9), st.integers(1, 9))
-def test_scans_are_joined_to_the_line_that_odometry_draws(began, start, v, w, part):
-    def pose_at(ns: int) -> Pose:
-        return Pose(start.x + 1e-9 * v * ns, start.y - 2e-9 * v * ns, start.theta + 1e-9 * w * ns)
-
-    dropped: list[str] = []
-    joiner, ticks = ScanJoiner(preset("log").robot.replaced(speed=9.0, turn_rate=9.0), dropped.append), []
-    for k in range(40):
-        ns = 20 * MS * k
-        joiner.add_odometry(began + ns, pose_at(ns), ns)
-        if k % 4 == 3:
-            scan = a_scan(0.0025 if k % 8 == 3 else 0.0)
-            taken_ns = 10 * MS if k % 8 == 3 else 0
-            joiner.add_scan(began + ns - 2 * MS * part - taken_ns, scan, ns)
-        ticks += joiner.ticks(ns)
-    scans = [tick for tick in ticks if tick.scan is not None]
-    assert len(scans) == 10 and not dropped
-    for k, tick in enumerate(scans):
-        ns = 20 * MS * (4 * k + 3) - 2 * MS * part
-        assert tick.stamp_ns == pytest.approx(began + ns, abs=2)  # increments are in float32
-        assert tick.log_stamp_s == (began + ns - (10 * MS if k % 2 == 0 else 0)) / 1e9
-        expected = pose_at(ns)
-        assert tick.odometry.position == pytest.approx(expected.position, abs=1e-7)
-        assert wrap_angle(tick.odometry.theta - expected.theta) == pytest.approx(0.0, abs=1e-7)

@@ -26,11 +26,6 @@ from sixthsense.testing import (
 from sixthsense.testing.laws import Failures, agree, at_most, equal
 
 
-class TooLong(AStar):
-    def plan(self, space, start, goal):
-        return dataclasses.replace(super().plan(space, start, goal), cost=7.25)
-
-
 class Elsewhere(AStar):
     def plan(self, space, start, goal):
         plan = super().plan(space, start, goal)
@@ -142,14 +137,7 @@ class Twice(BranchAndBound):
         return [one for one in super().propose(query) for _ in range(2)]
 
 
-class WorstFirst(BranchAndBound):
-    def propose(self, query):
-        found = super().propose(query)
-        return [one._replace(score=0.1 + 0.2 * k) for k, one in enumerate([*found, *found])]
-
-
 BROKEN = [
-    (navigation.PLANNER_LAWS, TooLong, "a path joins start and goal through free cells at the cost it says"),
     (navigation.PLANNER_LAWS, Elsewhere, "a path joins start and goal through free cells at the cost it says"),
     (navigation.PLANNER_LAWS, Forgetful, "the same question has the same answer"),
     (navigation.EXPLORER_LAWS, Writes,
@@ -164,7 +152,6 @@ BROKEN = [
     (perception.FRONT_END_LAWS, Indefinite, "the motion since the last keyframe has a covariance"),
     (perception.PLACE_LAWS, Shifted, "the place where the robot is is among what is proposed"),
     (perception.PLACE_LAWS, Twice, "candidates are poses of different places with scores the best first"),
-    (perception.PLACE_LAWS, WorstFirst, "candidates are poses of different places with scores the best first"),
 ]  # fmt: skip
 """the laws, a part that breaks one of them, and which"""
 
