@@ -45,7 +45,7 @@ def run(
     Parameters
     ----------
     scene
-        A shipped scene's name, a file (.toml, map_server .yaml, .scn), or a complete `Config`.
+        A shipped scene's name, a file (.toml or map_server .yaml), or a complete `Config`.
     on_tick
         Called after every tick with the tick and the trace so far.
     progress

@@ -93,7 +93,7 @@ def campaign(
     Parameters
     ----------
     scenes
-        One or several: a shipped scene's name, or a file (.toml, map_server .yaml, .scn).
+        One or several: a shipped scene's name, or a file (.toml or map_server .yaml).
     seeds
         Whole numbers, such as `range(20)`.
     out

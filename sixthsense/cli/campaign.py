@@ -32,7 +32,7 @@ class Campaign(Options):
     takes_fields: ClassVar[bool] = True
 
     scene: Annotated[tuple[str, ...], Arg("[SCENE ...]", is_positional=True)] = ()
-    """Shipped names or files (.toml, map_server .yaml, .scn), before all options."""
+    """Shipped names or files (.toml or map_server .yaml), before all options."""
     seeds: Annotated[tuple[str, ...], Arg("FIRST:LAST ...")] = ()
     """Seeds from FIRST to LAST, LAST excluded; several ranges and single seeds may be given."""
     preset: Annotated[tuple[str, ...], Arg("NAME ...")] = ()

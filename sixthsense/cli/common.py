@@ -54,7 +54,7 @@ class OfScene(WithSettings):
     """Options of the commands that simulate a robot."""
 
     scene: Annotated[str | None, Arg("[SCENE]", is_positional=True)] = None
-    """Shipped scene, or a .toml, map_server .yaml, .scn file."""
+    """Shipped scene, or a .toml or map_server .yaml file."""
 
     def settings_of_scene(self) -> Config:
         """The configuration with the scene; InputError for one that does not exist."""

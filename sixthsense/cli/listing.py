@@ -18,7 +18,7 @@ class Scenes(Options):
     """List the shipped scenes, or what is to be said of one before a run. In Python its method plot() draws it."""
 
     scene: Annotated[str | None, Arg("[SCENE]", is_positional=True)] = None
-    """Shipped scene, or file .toml, .yaml (ROS map), .scn."""
+    """Shipped scene, or file .toml or .yaml (ROS map)."""
 
     def run(self, flags: Table) -> int:
         """List the shipped scenes, or describe one."""

@@ -329,7 +329,7 @@ class Config(Section):
     """All settings of a run: the same configuration and source give the same run, bit for bit."""
 
     scene: str = "apartment"
-    """Shipped scene, or a file: .toml, map_server .yaml, .scn."""
+    """Shipped scene, or a file: .toml or map_server .yaml."""
     preset: str = "default"
     """Set of values: default, worn, noiseless, report, log, mrclam or victoria. A file and options override it."""
     estimator: Annotated[str, parts.ESTIMATORS] = "ekf-invariant"

@@ -8,7 +8,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.simulation.scene import FreeSpace, Scene, check_placement, load_scene
 from sixthsense.simulation.walkers import Walkers, walkers_of
@@ -50,8 +50,7 @@ def mission(scene: Scene, config: Config) -> Mission:
     """The task of a configuration in a scene, which has what the configuration does not say.
 
     Raises InputError, naming the field, for a place that is missing, outside the region or too close to a wall, for a
-    goal that no way leads to, for a start outside region and building from which the laser reaches no wall, and for
-    more walkers than fit in.
+    goal that no way leads to, and for more walkers than fit in.
     """
     if config.laser.mirrored:
         raise InputError("laser.mirrored", "found on a simulated robot", "on a log or a robot")
@@ -69,13 +68,13 @@ def mission(scene: Scene, config: Config) -> Mission:
     if config.task != "goal":
         goal = None
     start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
-    x0, y0, x1, y1 = config.region or scene.region
-    if not (x0 <= start.x <= x1 and y0 <= start.y <= y1):
-        _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     radius_m = config.robot.radius or scene.radius
     space = FreeSpace(scene, np.vstack([start.position[None], goals]), radius_m)
-    _check_free(space, start, goals, "goal" if config.task == "goal" else "tour")
+    for (x, y), is_connected in zip(goals, space.connected(start.position, goals), strict=True):
+        if not is_connected:
+            found = f"found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
+            raise InputError(config.task, found, f"a place that a robot of radius {radius_m:g} m can drive to")
     return Mission(scene, start, goals, radius_m, walkers_of(scene, config, start, radius_m))
 
 
@@ -100,31 +99,3 @@ def with_people(scene: Scene, config: Config) -> Config:
     if config.people is None and (scene.walkers or config.world.walkers):
         return config.replaced(people=True)
     return config
-
-
-def _check_free(space: FreeSpace, start: Pose, goals: Array, field: str) -> None:
-    """Raise InputError for a start in a table, a pillar or a thick wall, and for a goal that no way leads to."""
-    here = f"({start.x:g}, {start.y:g})"
-    if space.solid_at(start.position) and (near := space.nearest(start.position)) is not None:
-        found, allowed = f"found {here}, inside a table, a pillar or a wall", "a free place, such as"
-        raise InputError("start", found, f"{allowed} ({near[0]:.2f}, {near[1]:.2f})")
-    for (x, y), is_connected in zip(goals, space.connected(start.position, goals), strict=True):
-        if not is_connected:
-            found = f"found ({x:g}, {y:g}), which no way leads to from the start {here}"
-            raise InputError(field, found, f"a place that a robot of radius {space.radius_m:g} m can drive to")
-
-
-def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:
-    """Raise InputError for a start outside the bounds of the walls and farther than `range_m` from all of them.
-
-    A start within the bounds may see no wall, in a hall that is larger than the laser's range.
-    """
-    low, high = scene.walls.min(axis=(0, 1)), scene.walls.max(axis=(0, 1))
-    place = np.array([start.x, start.y])
-    distance_m = float(point_segment_distance(place, scene.walls).min())
-    if distance_m > range_m and ((place < low) | (place > high)).any():
-        raise InputError(
-            "start",
-            f"found ({start.x:g}, {start.y:g}), outside the building and {distance_m:.3g} m from its nearest wall",
-            f"at most the laser's range {range_m:g} m",
-        )

@@ -1,7 +1,7 @@
 """Scenes: the walls of a building, the start, the goals and the region of interest. Metres, world frame.
 
-Three formats are read: TOML (walls and polygons, the format of the shipped scenes), a ROS map (map_server's
-`.yaml` with an image) and the report's `.scn`.
+Two formats are read: TOML (walls and polygons, the format of the shipped scenes) and a ROS map (map_server's `.yaml`
+with an image).
 """
 
 from __future__ import annotations
@@ -11,11 +11,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
@@ -40,8 +38,6 @@ _WALKING_CELL_M = 0.1
 _MOST_WALKING_CELLS = 25_000_000
 _FINEST_M, _MOST_CELLS = 0.02, 5_000_000
 """of the grid in which places are checked: in a large scene its cells are larger"""
-_SOLID_SHARE = 0.1
-"""of the largest room: a smaller one that walls enclose without a door is furniture"""
 _NO_GLASS = np.zeros((0, 2, 2))
 
 
@@ -98,7 +94,7 @@ class Scene:
 
 
 def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = "wall") -> Scene:
-    """Read a shipped scene by its name, or a `.toml`, map_server `.yaml` or report `.scn` file.
+    """Read a shipped scene by its name, or a `.toml` or map_server `.yaml` file.
 
     `map_unknown` is what the unknown cells of a map_server map are.
 
@@ -107,7 +103,7 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
     """
     path = scene_file(name_or_file)
     try:
-        if path.suffix.lower() in (".toml", ".scn"):
+        if path.suffix.lower() == ".toml":
             return _stated(path)
         from sixthsense.simulation.ros_map import read_map
 
@@ -170,25 +166,6 @@ class FreeSpace:
         """(N,) whether the disc may get from `start` (2,) to goals (N, 2)."""
         return np.asarray(self.grid.at(self.grid.reachable(self.passable, start), goals), dtype=np.bool_)
 
-    def rooms(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(H, W) a number for each connected part, and (K,) their sizes in cells: 0 for walls and what is outside."""
-        parts, count = label(self.passable)
-        sizes = np.bincount(parts.ravel(), minlength=count + 1)
-        sizes[np.unique(np.concatenate([[0], parts[0], parts[-1], parts[:, 0], parts[:, -1]]))] = 0
-        return parts, sizes
-
-    def solid_at(self, place: Array) -> bool:
-        """Whether walls enclose a place (2,) in a small share of the largest room that they enclose: in furniture."""
-        parts, sizes = self.rooms()
-        return bool(0 < sizes[self.grid.at(parts, place)] < _SOLID_SHARE * sizes.max())
-
-    def nearest(self, place: Array) -> Array | None:
-        """(2,) the place nearest to a place (2,) where the disc fits, in the largest room; None without a room."""
-        parts, sizes = self.rooms()
-        fits = (parts == np.argmax(sizes)) & (self.grid.clearance_m > self.radius_m)
-        cell = self.grid.nearest(fits, place) if sizes.any() else None
-        return None if cell is None else self.grid.centres(np.array(cell))
-
     def closed_share(self, start: Array) -> float:
         """Share of the places where the disc fits that it cannot get to from `start` (2,), while a point could."""
         is_open = self.grid.reachable(self.grid.clearance_m > 0.75 * self.grid.cell_m, start) & self.passable
@@ -205,7 +182,7 @@ def walking_grid(scene: Scene) -> tuple[SceneGrid, Bools]:
 
 
 def _stated(path: Path) -> Scene:
-    """The scene of a `.toml` or `.scn` file."""
+    """The scene of a `.toml` file."""
     stated = read_scene(path)
     walls = [*stated.walls, *itertools.chain(*(polygon.walls() for polygon in stated.polygons))]
     if not walls:
@@ -259,7 +236,7 @@ def _check_inside(where: str, point: Point, region: Region) -> None:
 
 
 def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
-    """Raise InputError, with the nearest free place, for a place in a wall or too near to one."""
+    """Raise InputError for a place in a wall or too near to one."""
     place = np.array(point, dtype=np.float64)
     distance = float(point_segment_distance(place, scene.solid).min())
     is_inside = _is_in_wall(place, scene)
@@ -269,9 +246,6 @@ def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
     allowed = f"more than the robot's radius {radius:g} m"
     if is_inside:
         found, allowed = f"found ({point[0]:g}, {point[1]:g}), inside a wall, {distance:.3g} m deep", "a free place"
-    near = FreeSpace(scene, place[None], radius).nearest(place)
-    if near is not None and not _is_in_wall(near, scene):
-        allowed += f", such as ({near[0]:.2f}, {near[1]:.2f})"
     raise InputError(where, found, allowed)
 
 

@@ -1,4 +1,4 @@
-"""Files of scenes: where they are, and what a `.toml` or `.scn` file may state. Metres and radians, world frame.
+"""Files of scenes: where they are, and what a `.toml` file may state. Metres and radians, world frame.
 
 Loads nothing large, so that a wrong name is told at once.
 """
@@ -14,11 +14,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.files import parse_toml, path_of
-from sixthsense.config.section import Section, shown, shown_name
+from sixthsense.config.section import Section, input_error, shown
 
 M = TypeVar("M", bound=BaseModel)
 
-SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
+SUFFIXES = (".toml", ".yaml", ".yml")
 MAX_WALLS = 50_000
 """every beam is compared with every wall"""
 _OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
@@ -137,34 +137,15 @@ def scene_file(name_or_file: str | Path) -> Path:
 
 
 def read_scene(path: Path) -> SceneFile:
-    """The fields of a `.toml` file, or those of a `.scn` file: a line `x y theta radius` and a line for each wall.
-
-    Raises InputError, without the file's name, which names the field.
-    """
+    """The fields of a `.toml` file; InputError, without the file's name, which names the field."""
     text = read_text(path)
     check_count("walls", text.count("[") - _OTHER_LISTS)  # before they are parsed, which takes 10 s for 200,000
-    if path.suffix.lower() == ".toml":
-        try:
-            return checked(SceneFile, parse_toml(text))
-        except InputError:
-            raise
-        except ValueError as error:
-            raise InputError("", str(error)) from None
-    rows = [_numbers(f"line {k}", line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    check_count("walls", len(rows))
-    head = rows[0] if rows else ()
-    return checked(SceneFile, {"start": head[:3], "radius": head[3] if rows else None, "walls": rows[1:]})
-
-
-def _numbers(where: str, line: str) -> tuple[float, ...]:
-    """The four numbers of a line."""
     try:
-        values = tuple(map(float, line.split()))
-    except ValueError:
-        values = ()
-    if len(values) != 4:
-        raise InputError(where, f"found {shown(line)}", "4 numbers")
-    return values
+        return checked(SceneFile, parse_toml(text))
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError("", str(error)) from None
 
 
 def read_text(path: Path) -> str:
@@ -194,21 +175,10 @@ def checked(kind: type[M], table: Any) -> M:
     try:
         return kind.model_validate(table)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    names, known = first["loc"], list(kind.model_fields)
-    is_missing = first["type"] == "missing"
-    places = names[: 1 if is_missing and len(names) == 2 else 2]  # of a tuple that is too short the field alone
-    where = ", ".join(f"entry {part + 1}" if isinstance(part, int) else shown_name(part) for part in places)
-    cause, found = first.get("ctx", {}).get("error"), f"found {shown(first['input'])}"
-    if isinstance(cause, InputError):
-        raise cause.at(", ".join(filter(None, [where, cause.where])))
-    if first["type"] == "extra_forbidden":
-        raise InputError(where, "no such field", ", ".join(known), nearest(names[0], known))
-    if is_missing and len(names) == 1:
+        first, found = error.errors(include_url=False)[0], input_error(error, kind.model_fields)
+    if first["type"] == "missing" and len(first["loc"]) == 1:
         required = [name for name, field in kind.model_fields.items() if field.is_required()]
-        raise InputError(where, f"missing, required are {', '.join(required)}")
-    if first["type"] == "too_long":
-        raise InputError(where, f"found {first['ctx']['actual_length']}", f"at most {first['ctx']['max_length']}")
-    if is_missing:
-        raise InputError(where, found, "more numbers")
-    raise InputError(where, found, first["msg"].removeprefix("Input should be ").replace("greater than", "above"))
+        raise InputError(found.where, f"missing, required are {', '.join(required)}")
+    name, _, part = found.where.partition(".")
+    entry = next((f"entry {k + 1}" for k in first["loc"] if isinstance(k, int)), "")
+    raise found.at(", ".join(filter(None, [name, entry, part])))

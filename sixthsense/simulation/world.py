@@ -22,7 +22,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.simulation.walkers import Walkers
 
 INTEGRATION_STEP_S = 0.01
-"""the longest Runge-Kutta step within a tick"""
+"""the longest Runge-Kutta step within a tick; a fast robot has shorter ones, of half its radius at most"""
 DRAWS = 5
 """of noise per control tick: of speed and turn rate, and of slip in x, y and heading"""
 _MOVED_M = 1.0
@@ -58,11 +58,12 @@ class Drive(NamedTuple):
         """That of a configuration."""
         robot, world = config.robot, config.world
         period_ns = round(robot.control_period_s * 1e9)
+        step_s = min(INTEGRATION_STEP_S, 0.5 * radius_m / robot.speed)
         return Drive(
             float(robot.speed),
             float(robot.turn_rate),
             period_ns,
-            max(1, math.ceil(period_ns * 1e-9 / INTEGRATION_STEP_S - 1e-9)),
+            max(1, math.ceil(period_ns * 1e-9 / step_s - 1e-9)),
             float(world.motion.speed),
             float(world.motion.turn_rate),
             float(world.wheel_scale_error),
@@ -73,31 +74,12 @@ class Drive(NamedTuple):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: float) -> bool:
-    """Whether a disc moving from (x0, y0) to (x1, y1) comes closer than `radius` to any of `walls` (M, 4)."""
-    mx, my = x1 - x0, y1 - y0
+def _touches(x: float, y: float, walls: Array, radius: float) -> bool:
+    """Whether a disc at (x, y) is closer than `radius` to any of `walls` (M, 4)."""
     for j in range(walls.shape[0]):
-        ax, ay, bx, by = walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3]
-        if min(ax, bx) - radius > max(x0, x1) or max(ax, bx) + radius < min(x0, x1):
-            continue
-        if min(ay, by) - radius > max(y0, y1) or max(ay, by) + radius < min(y0, y1):
-            continue
-        ex, ey = bx - ax, by - ay
-        # Unless two segments cross, their distance is attained at an end of one of them.
-        length_sq = max(ex * ex + ey * ey, 1e-300)
-        for px, py in ((x0, y0), (x1, y1)):
-            s = min(max(((px - ax) * ex + (py - ay) * ey) / length_sq, 0.0), 1.0)
-            if math.hypot(ax + s * ex - px, ay + s * ey - py) < radius:
-                return True
-        length_sq = max(mx * mx + my * my, 1e-300)
-        for px, py in ((ax, ay), (bx, by)):
-            s = min(max(((px - x0) * mx + (py - y0) * my) / length_sq, 0.0), 1.0)
-            if math.hypot(x0 + s * mx - px, y0 + s * my - py) < radius:
-                return True
-        cross = mx * ey - my * ex
-        t = ((ax - x0) * ey - (ay - y0) * ex) / cross
-        u = ((ax - x0) * my - (ay - y0) * mx) / cross
-        if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
+        ax, ay, ex, ey = walls[j, 0], walls[j, 1], walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
+        s = min(max(((x - ax) * ex + (y - ay) * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
+        if math.hypot(ax + s * ex - x, ay + s * ey - y) < radius:
             return True
     return False
 
@@ -113,7 +95,7 @@ def _driven_among(
     speed, turn_rate, step_s = control
     for _ in range(steps):
         ahead = compose(driven(pose, speed, turn_rate, step_s, 1), shift)
-        if _touches(pose[0], pose[1], ahead[0], ahead[1], walls, radius):
+        if _touches(ahead[0], ahead[1], walls, radius):
             return pose, True
         pose = ahead
     return pose, False
