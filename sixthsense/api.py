@@ -92,7 +92,6 @@ def replay(
     *,
     topics: Sequence[str] = (),
     odometry_frames: Sequence[str] = (),
-    units: Sequence[str] = (),
     robot: int | None = None,
     progress: bool | None = None,
     out: str | Path | None = None,
@@ -116,9 +115,9 @@ def replay(
         Hand-checked relations between poses, or their file, the reference of the trajectory's error.
     on_tick, progress, out, overwrite, prior_map
         What they are for `ss.run`. The robot begins at the log's start, or at `pose`.
-    topics, odometry_frames, units, robot
-        Topics to use from a bag with several of scans or odometry; parent and child of its odometry in /tf; units of a
-        log without metres and radians, such as `ranges=mm`; robot to use from an MRCLAM folder.
+    topics, odometry_frames, robot
+        Topics to use from a bag with several of scans or odometry; parent and child of its odometry in /tf; robot
+        to use from an MRCLAM folder.
     **fields
         Fields that override the configuration, as in `ss.run`, except those of the simulation.
 
@@ -137,7 +136,7 @@ def replay(
 
     given = dict(fields)
     prior = _prior_start(prior_map, given)
-    found = _opened(log, config, relations, LogSelection(topics, robot, odometry_frames, units), given, out)
+    found = _opened(log, config, relations, LogSelection(topics, robot, odometry_frames), given, out)
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
         return replay_log(found, folder, _watch(on_tick, progress), prior)
 

@@ -42,7 +42,7 @@ class Run(WithPriorMap, OfScene):
 class Replay(WithPriorMap):
     """Process a recorded log.
 
-    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o), plain or .gz, .bz2, .xz, .zip; a ROS 1 or ROS 2
+    CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o), plain or .gz, .bz2, .xz; a ROS 1 or ROS 2
     bag; the folder of a run; an MRCLAM folder.
     """
 
@@ -57,8 +57,6 @@ class Replay(WithPriorMap):
     """Topics to use from a bag with several topics of scans or odometry."""
     odometry_frames: Annotated[str | None, Arg("P,C")] = None
     """Frames of odometry in /tf, such as odom,base_link. Without a topic of odometry they are found."""
-    units: Annotated[str | None, Arg("WHAT=UNIT")] = None
-    """Units of a log without metres and radians: ranges=mm,odometry=cm,angles=degrees,headings=degrees."""
     robot: Annotated[int | None, Arg("N")] = None
     """Robot to use from an MRCLAM folder with several."""
 
@@ -73,9 +71,9 @@ class Replay(WithPriorMap):
         """Replay a log."""
         from sixthsense.logs.replay_input import LogSelection, check_options, check_out, open_recorded
 
-        given = self.topics, self.odometry_frames, self.units
-        topics, frames, units = (tuple(words.split(",")) if words else () for words in given)
-        chosen = LogSelection(topics, self.robot, frames, units)
+        given = self.topics, self.odometry_frames
+        topics, frames = (tuple(words.split(",")) if words else () for words in given)
+        chosen = LogSelection(topics, self.robot, frames)
         check_options(self.log, flags, chosen)
         if self.log is None:
             raise InputError(

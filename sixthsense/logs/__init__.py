@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sixthsense.logs.log import Log
 
 _CARMEN = (".log", ".clf", ".carmen")
-_COMPRESSED = (".gz", ".bz2", ".xz", ".zip")
+_COMPRESSED = (".gz", ".bz2", ".xz")
 _BAGS = (".bag", ".mcap", ".db3")
 _GRAPHS = (".graph", ".g2o")
 _MRCLAM = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
@@ -27,7 +27,6 @@ def open_log(
     assumed: AssumedConfig | None = None,
     odometry_frames: Sequence[str] = (),
     odometry: bool = True,
-    units: Sequence[str] = (),
 ) -> Log:
     """Open a log, a file or a folder, with the reader of its kind, recognised by its name, or else by how it begins.
 
@@ -35,18 +34,16 @@ def open_log(
     `ss.LaserConfig(max_range=8.0)`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames`
     the parent and the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot
     of a MRCLAM folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam.
-    `units` says which units a bag or a CARMEN log has, such as `ranges=mm`. Raises InputError for an unknown kind, with
-    the known ones, and for a file that the reader cannot read.
+    Raises InputError for an unknown kind, with the known ones, and for a file that the reader cannot read.
     """
     from sixthsense.config import LaserConfig, preset
-    from sixthsense.logs.units import units_of
 
-    path, own_units = Path(file), units_of(units)
+    path = Path(file)
     kind = kind_of(path)
     if kind == "carmen":
         from sixthsense.logs.carmen import read_carmen
 
-        return read_carmen(path, laser, own_units)
+        return read_carmen(path, laser)
     if kind == "graph":
         from sixthsense.logs.graph import read_graph
 
@@ -59,7 +56,7 @@ def open_log(
         from sixthsense.logs.rosbag import How, read_bag
         from sixthsense.logs.transforms import frame_pair
 
-        return read_bag(path, laser or LaserConfig(), How(topics, frame_pair(odometry_frames), odometry, own_units))
+        return read_bag(path, laser or LaserConfig(), How(topics, frame_pair(odometry_frames), odometry))
     if kind == "mrclam":
         from sixthsense.logs.mrclam import read_mrclam
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
 WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", ODOMETRY)
 WITHOUT = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 
-_ROSBAG = b"#ROSBAG V2.0\n"
-_SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", _ROSBAG[:7]: ".bag", b"SQLite format 3\x00": ".db3"}
+_SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG": ".bag", b"SQLite format 3\x00": ".db3"}
+_REPAIRED = {".mcap": "mcap recover", ".bag": "rosbag reindex"}
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
 _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 30, 20
 """bytes that all chunks may have together; scans rarely compress to a tenth"""
@@ -67,9 +66,10 @@ def opened(path: Path) -> Iterator[AnyReader]:
         for file in files:
             if (kind := suffix_of(file)) not in ("", file.suffix):
                 raise InputError(file, "found a bag of another name", f"one that ends in {kind}")
-            if kind in (".mcap", ".bag"):
-                allowed = f"a whole file; `{'mcap recover' if kind == '.mcap' else 'rosbag reindex'}` makes one of it"
-                _check_chunks(file, kind)
+            if kind in _REPAIRED:
+                allowed = f"a whole file; `{_REPAIRED[kind]}` makes one of it"
+            if kind == ".mcap":
+                _check_chunks(file)
         named = [path] if (path / "metadata.yaml").is_file() else files or [path]
         with AnyReader(named, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
@@ -79,11 +79,11 @@ def opened(path: Path) -> Iterator[AnyReader]:
         raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", allowed) from None
 
 
-def _check_chunks(file: Path, kind: str) -> None:
+def _check_chunks(file: Path) -> None:
     """Raise an exception for a chunk larger than any writer's, for chunks far larger than the file, or a cut."""
     left = _BASE_BUDGET + _BUDGET_PER_BYTE * file.stat().st_size
     with file.open("rb") as stream:
-        for held in (_mcap_chunks if kind == ".mcap" else _bag_chunks)(stream):
+        for held in _mcap_chunks(stream):
             left -= held
             if held > _LARGEST_CHUNK or left < 0:
                 raise ValueError(f"found chunks that hold {held} bytes and more, far more than the file")
@@ -101,18 +101,6 @@ def _mcap_chunks(stream: IO[bytes]) -> Iterator[int]:
                 yield record.uncompressed_size
     except EndOfFile:
         raise ValueError("it is cut short") from None
-
-
-def _bag_chunks(stream: IO[bytes]) -> Iterator[int]:
-    """Bytes that each chunk of a ROS 1 bag holds, by the headers of its records; an exception for a cut."""
-    stream.seek(len(_ROSBAG))
-    while size := stream.read(4):
-        header = stream.read(struct.unpack("<I", size)[0])
-        if b"\x04\x00\x00\x00op=\x05" in header and (place := header.find(b"size=")) >= 0:
-            yield struct.unpack_from("<I", header, place + 5)[0]
-        (held,) = struct.unpack("<I", stream.read(4))
-        if held and not (stream.seek(held - 1, 1) and stream.read(1)):
-            raise ValueError("it is cut short")
 
 
 @dataclass(slots=True)

@@ -33,20 +33,18 @@ from sixthsense.logs.laser_geometry import (
 from sixthsense.logs.log import Log
 from sixthsense.logs.stamps import ascending, unit_of
 from sixthsense.logs.text_lines import LARGEST, Record, records, shown
-from sixthsense.logs.units import SI, Units
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
 MESSAGES = (
     ROBOTLASER, FLASER, ODOM, b"PARAM", b"SYNC", b"RLASER", b"ROBOTLASER2", b"RAWLASER1", b"TRUEPOS", b"MARKER"
 )  # fmt: skip
 """with which a log may begin"""
-_ODOM_FIELDS = 10
-"""ODOM x y theta tv rv accel ipc_time host logger_time"""
-_FLASER_FIELDS = 11
-"""FLASER n (here the n ranges) x y theta odom_x odom_y odom_theta ipc_time host logger_time"""
-_HEAD, _TAIL = 9, 14
-"""ROBOTLASER1 type start_angle fov resolution max_range accuracy remission_mode n, before the n ranges; and x y theta
-odom_x odom_y odom_theta tv rv front side axis ipc_time host logger_time, after the number of remissions and these"""
+_FIELDS = {ODOM: (1, 9), FLASER: (2, 9), ROBOTLASER: (9, 14)}
+"""number of fields before the ranges and after them, which begin with the poses:
+ODOM / x y theta tv rv accel ipc_time host logger_time
+FLASER n / x y theta odom_x odom_y odom_theta ipc_time host logger_time
+ROBOTLASER1 type start_angle fov resolution max_range accuracy remission_mode n / x y theta odom_x odom_y odom_theta tv
+rv front side axis ipc_time host logger_time, in most logs after a number of remissions and these"""
 _SAVED_RAD = 1e-5  # by which a field of view that was saved differs from that of the beams
 _OFFSET, _MAX = b"robot_frontlaser_offset", b"robot_front_laser_max"
 _MOST_DAMAGED = 1000
@@ -74,8 +72,6 @@ class _Reading(NamedTuple):
 class _Lines:
     """What the lines of a file say."""
 
-    units: Units
-    """of the numbers of the file"""
     readings: list[_Reading] = field(default_factory=list)
     """in the order of the file"""
     kinds: Counter[bytes] = field(default_factory=Counter)
@@ -88,7 +84,7 @@ class _Lines:
     """parts of a second, and their name, that stamps are in, by the first one"""
 
 
-def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units = SI) -> Log:
+def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
     """Read a CARMEN log: plain or compressed, recognised by the first bytes.
 
     The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more. Other messages, as those of a
@@ -104,17 +100,15 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
     has no scan.
     """
     path, given = Path(file), laser or LaserConfig()
-    content = _read_lines(path, units)
+    content = _read_lines(path)
     kind = max((ROBOTLASER, FLASER), key=lambda each: content.kinds[each])
     readings = [reading for reading in content.readings if reading.kind in (ODOM, kind)]
-    wanted = {given.beams} if "beams" in given.explicit_fields else range(2, MOST_BEAMS + 1)
-    scans = [reading for reading in readings if len(reading.ranges) in wanted]
+    scans = [reading for reading in readings if len(reading.ranges)]
     if not scans:
         there = (
             ", ".join(f"{count} {name.decode()}" for name, count in content.kinds.most_common(5)) or "no line at all"
         )
-        beams = f" of {given.beams} beams (laser.beams)" * ("beams" in given.explicit_fields)
-        raise InputError(path, f"found no FLASER or ROBOTLASER1 line{beams} ({there})", "a log with laser scans")
+        raise InputError(path, f"found no FLASER or ROBOTLASER1 line ({there})", "a log with laser scans")
     found = _found(content, readings)
     mount = _mount(scans, given, content.params.get(_OFFSET, 0.0), found)
     reaches = _reaches(scans, given, content.params.get(_MAX, 0.0), found)
@@ -123,7 +117,7 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, units: Units
     made = [
         Sighting(stamp_ns, _scan(reading, reaches[reading.max_range], given, mount), reading.stamp_s)
         for reading, stamp_ns in zip(readings, stamps.tolist(), strict=True)
-        if len(reading.ranges) in wanted
+        if len(reading.ranges)
     ]
     counts = {len(reading.ranges) for reading in scans}
     is_open = kind == FLASER and "fov" not in given.explicit_fields and len(counts) == 1
@@ -189,12 +183,12 @@ def _scan(reading: _Reading, reach: float, given: LaserConfig, mount: Pose) -> S
     return scan.mirrored() if given.mirrored else scan
 
 
-def _read_lines(path: Path, units: Units) -> _Lines:
+def _read_lines(path: Path) -> _Lines:
     """Parse the lines of a file; those that are damaged are left out.
 
     Raises InputError for a file that cannot be read, and for one whose lines are all damaged.
     """
-    content = _Lines(units)
+    content = _Lines()
     for count, record in enumerate(records(path), 1):
         try:
             _take(content, record)
@@ -210,75 +204,52 @@ def _read_lines(path: Path, units: Units) -> _Lines:
 def _take(content: _Lines, record: Record) -> None:
     """Add what a line says; InputError for one that is damaged."""
     fields, kind = record.fields, record.fields[0]
-    read = {FLASER: _flaser, ROBOTLASER: _robotlaser, ODOM: _odom}.get(kind)
-    if read is not None:
-        scan = read(record, content.units)  # which checks the number of fields
-        content.unit = content.unit or unit_of(record.parsed(fields[-3:-2]))
-        parts = content.unit[0]
-        content.readings.append(_Reading(kind, record.stamp_ns(fields[-3], parts), float(fields[-3]) / parts, *scan))
+    if kind in _FIELDS:
+        content.readings.append(_reading(record, content))
     elif not _MESSAGE_NAME.fullmatch(kind):
         record.fail(f"found {shown(kind)}, allowed: a CARMEN message, as ODOM or FLASER")
-    elif any(name.startswith(kind) for name in (FLASER, ROBOTLASER, ODOM)):
+    elif any(name.startswith(kind) for name in _FIELDS):
         record.fail(f"found {shown(kind)}, a CARMEN line cut short")
     elif kind == b"PARAM" and len(fields) > 2 and fields[1] in (_OFFSET, _MAX):
         content.params[fields[1]] = float(record.numbers(fields[2:3])[0])
     content.kinds[kind] += 1
 
 
-_Line = tuple[Array, NDArray[np.float32], Beams | None, float]
-"""poses, ranges, beams and maximum range, as in a `_Reading`"""
+def _reading(record: Record, content: _Lines) -> _Reading:
+    """The odometry and the scan of a line; remissions between ranges and poses, which some logs have, are skipped."""
+    fields, kind = record.fields, record.fields[0]
+    head, tail = _FIELDS[kind]
+    count = 0
+    if kind != ODOM:
+        if len(fields) < head:
+            record.fail(f"found {len(fields)} fields, a CARMEN line cut short")
+        count = record.whole(head - 1, "number of values")
+        if not 2 <= count <= MOST_BEAMS:
+            record.fail(f"found {count} ranges, allowed: 2 to {MOST_BEAMS}")
+    expected = head + count + tail
+    if kind == ROBOTLASER and len(fields) > expected:
+        expected += 1 + record.whole(head + count, "number of values")
+    if len(fields) != expected:
+        cut = " (a CARMEN line cut short)" * (len(fields) < expected)
+        record.fail(f"found {kind.decode()} of {len(fields)} fields, allowed: {expected}{cut}")
+    first, size = len(fields) - tail, 3 if kind == ODOM else 6
+    poses = record.numbers(fields[first : first + size]).reshape(-1, 3)
+    ranges = record.parsed(fields[head : head + count])
+    ranges[ranges > LARGEST] = np.inf  # these may overflow a float32
+    beams, reach = _stated(record, count) if kind == ROBOTLASER else (None, math.inf)
+    content.unit = content.unit or unit_of(record.parsed(fields[-3:-2]))
+    parts = content.unit[0]
+    return _Reading(
+        kind, record.stamp_ns(fields[-3], parts), float(fields[-3]) / parts, poses[[0, -1]],
+        np.where(ranges >= 0.0, ranges, -1.0).astype(np.float32), beams, reach,
+    )  # fmt: skip
 
 
-def _odom(record: Record, units: Units) -> _Line:
-    _expect(record, _ODOM_FIELDS)
-    return np.tile(_poses(record, 1, 4, units), (2, 1)), np.zeros(0, dtype=np.float32), None, math.inf
-
-
-def _flaser(record: Record, units: Units) -> _Line:
-    count = _count(record, 1)
-    _expect(record, count + _FLASER_FIELDS)
-    return _poses(record, -9, -3, units), _ranges(record, 2, count, units), None, math.inf
-
-
-def _robotlaser(record: Record, units: Units) -> _Line:
-    """A scan that states its beams; remissions between ranges and poses, which some logs have, are skipped."""
-    count = _count(record, _HEAD - 1)
-    if len(record.fields) != _HEAD + count + _TAIL:
-        _expect(record, _HEAD + count + 1 + _count(record, _HEAD + count) + _TAIL)
+def _stated(record: Record, count: int) -> tuple[Beams | None, float]:
+    """The beams and the maximum range that a ROBOTLASER1 line states."""
     start, fov, resolution, max_range = record.numbers(record.fields[2:6])
-    start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
         what = f"angles of {start:.6g} to {start + fov:.6g}{', which are degrees' if fov > 2.0 * math.pi else ''}"
-        record.fail(f"found {what}, allowed: radians of up to a full circle, or `units` angles=degrees")
+        record.fail(f"found {what}, allowed: radians of up to a full circle")
     beams = beams_as_stated(count, start, fov, resolution) if fov > 0.0 else None
-    reach = units.ranges * max_range if max_range > 0.0 else math.inf
-    return _poses(record, -14, -8, units), _ranges(record, _HEAD, count, units), beams, reach
-
-
-def _poses(record: Record, first: int, past: int, units: Units) -> Array:
-    """(n, 3) poses in fields, m and rad."""
-    scale = (units.odometry, units.odometry, units.headings)
-    return np.asarray(record.numbers(record.fields[first:past]).reshape(-1, 3) * scale)
-
-
-def _count(record: Record, place: int) -> int:
-    """A number of values in a field."""
-    if len(record.fields) <= place:
-        _expect(record, place + 1)
-    return record.whole(place, "number of values")
-
-
-def _expect(record: Record, count: int) -> None:
-    found = len(record.fields)
-    if found != count:
-        cut = " (a CARMEN line cut short)" * (found < count)
-        record.fail(f"found {record.fields[0].decode()} of {found} fields, allowed: {count}{cut}")
-
-
-def _ranges(record: Record, first: int, count: int, units: Units) -> NDArray[np.float32]:
-    """(count,) metres, or inf, from field `first` on; -1 for one that is negative or no number."""
-    if not 2 <= count <= MOST_BEAMS:
-        record.fail(f"found {count} ranges, allowed: 2 to {MOST_BEAMS}")
-    values = units.ranges * record.parsed(record.fields[first : first + count])
-    values[values > LARGEST] = np.inf  # these may overflow a float32
-    return np.where(values >= 0.0, values, -1.0).astype(np.float32)
+    return beams, max_range if max_range > 0.0 else math.inf

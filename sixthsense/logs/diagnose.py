@@ -19,8 +19,8 @@ from sixthsense.logs.laser_geometry import beams_over
 from sixthsense.logs.log import Log
 from sixthsense.logs.stamps import passed_s
 from sixthsense.logs.turns import Fit, fit_turns
-from sixthsense.logs.units import DEGREES
 
+DEGREES = math.pi / 180.0
 _COMPARED = 100  # scans, evenly over the log
 _MOVED_M, _MOST = 0.3, 0.5  # by which a range has changed, and the share of beams
 _FASTEST = 20.0  # m/s of a vehicle; a slow robot in centimetres is faster
@@ -50,7 +50,7 @@ def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
     said = []
     for finding in [*log.found, *findings_of(log.sightings, log.odometry, log.candidates)]:
         if finding.action == "refused":
-            raise InputError("log", f"found {finding.text}", finding.remedy)
+            raise InputError("log", f"found {finding.text}", "metres, radians, and one clock")
         if finding.kind == "clocks":
             if config.time_offset is not None:
                 continue

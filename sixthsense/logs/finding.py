@@ -46,17 +46,13 @@ KINDS = {
     "driven_backward": Kind(
         "said", "the odometry drives backward for {value:.0%} of its way: do the wheels report the wrong sign?"
     ),
-    "odometry_unit": Kind(
-        "refused", "positions of odometry that change by {value:.4g} a second, which are mm or cm", "units odometry=mm"
-    ),
-    "headings_unit": Kind(
-        "refused", "headings of odometry, along which the robot goes only if they are degrees", "units headings=degrees"
-    ),
+    "odometry_unit": Kind("refused", "positions of odometry that change by {value:.4g} a second, which are mm or cm"),
+    "headings_unit": Kind("refused", "headings of odometry, along which the robot goes only if they are degrees"),
     "headings_inverted": Kind("refused", "headings of odometry, along which the robot goes only with the other sign"),
     "axes_exchanged": Kind("refused", "odometry, along whose headings the robot goes only with x and y exchanged"),
     # of the laser
-    "ranges_unit": Kind("refused", "ranges with a median of {value:.5g}, which are mm or cm", "units ranges=mm"),
-    "no_return": Kind("refused", "no return in {value:.0f} scans: are their ranges in mm?", "units ranges=mm"),
+    "ranges_unit": Kind("refused", "ranges with a median of {value:.5g}, which are mm or cm"),
+    "no_return": Kind("refused", "no return in {value:.0f} scans: are their ranges in mm?"),
     "sweep": Kind("said", "time_increment makes a sweep of {value:.3g} s, {place}: is its unit wrong? Left out"),
     "angle_increment": Kind(
         "said", "angle_increment spans {value:.4g} of what angle_min and angle_max do: it is used", "laser.fov"
@@ -109,12 +105,6 @@ class Finding:
     def text(self) -> str:
         """What was found, without the option."""
         return KINDS[self.kind].text.format(value=self.value, place=self.place, degrees=math.degrees(self.value))
-
-    @property
-    def remedy(self) -> str:
-        """What is allowed in place of what is refused."""
-        option, _, value = self.option.partition(" ")
-        return f"metres and radians, or `{option}` {value}" if option else ""
 
     def __str__(self) -> str:
         if not self.option or f"`{self.option}`" in self.text:

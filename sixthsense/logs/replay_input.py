@@ -23,19 +23,12 @@ if TYPE_CHECKING:
 _LEAST_PERIOD_NS = 1000.0  # of scans: no laser is as fast
 _ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
 
-_KINDS = {
-    "carmen": "a CARMEN log",
-    "bag": "a ROS bag",
-    "run": "the folder of a run",
-    "graph": "a graph",
-    "mrclam": "a MRCLAM folder",
-}
+_KINDS = "carmen bag run graph mrclam"
 _TAKEN: dict[str, str] = {
     "topics": "bag",
     "odometry_frames": "bag",
-    "units": "bag carmen",
     "robot": "mrclam",
-    "robot.radius": " ".join(_KINDS),
+    "robot.radius": _KINDS,
     "preset": "carmen bag graph mrclam",
     "laser": "carmen",
     "laser.mount": "carmen bag run",
@@ -61,7 +54,7 @@ class ReplayInput:
     relations: Relations | None
     """reference for the trajectory"""
     files: Mapping[str, str]
-    """inputs by role: `log`, and if given `relations`, `topic`, `odometry_frames`, `units` and `robot`"""
+    """inputs by role: `log`, and if given `relations`, `topic`, `odometry_frames` and `robot`"""
     notes: tuple[str, ...]
     """one-line notes on the log for the user"""
 
@@ -95,8 +88,6 @@ class LogSelection(NamedTuple):
     """of an MRCLAM folder"""
     odometry_frames: Sequence[str] = ()
     """parent and child of a bag's odometry in /tf"""
-    units: Sequence[str] = ()
-    """of a bag or a CARMEN log that has others than metres and radians, such as `ranges=mm`"""
 
 
 def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: LogSelection) -> None:
@@ -112,7 +103,7 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Log
     for name in given:
         kinds = (_TAKEN.get(name) or _TAKEN.get(name.partition(".")[0]) or kind).split()
         if kind and kind not in kinds:
-            raise InputError(name, f"found on {_KINDS[kind]}", f"on {' or '.join(_KINDS[each] for each in kinds)}")
+            raise InputError(name, f"found on a log of kind {kind}", f"on {' or '.join(kinds)}")
 
 
 def check_out(log: str | Path, out: Path | None) -> None:
@@ -138,14 +129,14 @@ def open_recorded(
     from sixthsense.logs import open_log
 
     chosen = chosen or LogSelection()
-    topics, robot, frames, units = chosen
+    topics, robot, frames = chosen
     files = {"log": str(absolute(log))}
     for name, value in chosen._asdict().items():
         if value or value == 0:
             files[name] = str(value) if name == "robot" else ",".join(value)
     if isinstance(relations, (str, Path)):
         files["relations"] = str(absolute(relations))
-    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, not config.no_odometry, units)
+    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, not config.no_odometry)
     try:
         return of_opened(opened, config, relations, absolute(log).name, files)
     except InputError as error:

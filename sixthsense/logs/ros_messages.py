@@ -12,7 +12,6 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
 from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S
-from sixthsense.logs.units import SI, Units
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -81,18 +80,18 @@ def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
     return planar_of(T_robot_laser), bool(T_robot_laser[2, 2] < 0.0)
 
 
-def stated_reach(message: Any, units: Units = SI) -> float | None:
+def stated_reach(message: Any) -> float | None:
     """The `range_max` of a LaserScan, m; None where it is not that of a laser: zero, infinite, or no number."""
-    reach = float(np.float32(message.range_max)) * units.ranges
+    reach = float(np.float32(message.range_max))
     return reach if 0.0 < reach <= FARTHEST_M else None
 
 
-def ranges_of(message: Any, units: Units = SI) -> NDArray[np.float32]:
+def ranges_of(message: Any) -> NDArray[np.float32]:
     """(N,) ranges, m, of a LaserScan, or the first echoes of a MultiEchoLaserScan; infinite without an echo."""
     rows: Any = message.ranges
     if len(rows) and hasattr(rows[0], "echoes"):
         rows = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in rows]
-    return np.asarray(rows, dtype=np.float32) * np.float32(units.ranges)
+    return np.asarray(rows, dtype=np.float32)
 
 
 def scan(
@@ -100,7 +99,6 @@ def scan(
     T_robot_laser: Pose,
     upside_down: bool = False,
     max_range: float | None = None,
-    units: Units = SI,
 ) -> Scan:
     """The scan of a LaserScan message; ranges outside [range_min, range_max] are no returns.
 
@@ -108,17 +106,17 @@ def scan(
     beams of a clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
     `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
-    ranges, high = ranges_of(message, units), stated_reach(message, units)
+    ranges, high = ranges_of(message), stated_reach(message)
     if not 2 <= len(ranges) <= MOST_BEAMS:
         raise ValueError(f"found a scan of {len(ranges)} ranges, allowed: 2 to {MOST_BEAMS}")
-    first, step = _beams(message, len(ranges), units)
+    first, step = _beams(message, len(ranges))
     if high is None and max_range is None:
         raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")
     if abs(step) * (len(ranges) - 1) > 2.0 * math.pi - 0.5 * abs(step):
         ranges = ranges[: max(2, round(2.0 * math.pi / abs(step)))]
     count = len(ranges)
     reach = min(high or math.inf, math.inf if max_range is None else max_range)
-    low = np.float32(message.range_min) * np.float32(units.ranges)
+    low = np.float32(message.range_min)
     with np.errstate(invalid="ignore"):
         returned = (ranges <= np.float32(reach)) & ((ranges >= low) if np.isfinite(low) else (ranges > 0.0))
         ranges = np.where(returned, ranges, np.float32(np.inf))
@@ -133,9 +131,9 @@ def scan(
     return Scan(ranges, np.float32(first), np.float32(step), own, T_robot_laser, np.float32(lag))
 
 
-def _beams(message: Any, count: int, units: Units) -> tuple[float, float]:
+def _beams(message: Any, count: int) -> tuple[float, float]:
     """Bearing of the first beam and angle between two, rad; ValueError for angles that no laser has."""
-    first, step = float(message.angle_min) * units.angles, float(message.angle_increment) * units.angles
+    first, step = float(message.angle_min), float(message.angle_increment)
     if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
         raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
     last = first + step * (count - 1)
@@ -144,7 +142,7 @@ def _beams(message: Any, count: int, units: Units) -> tuple[float, float]:
             found = f"found an angle_increment that spans {share:.3g} times what angle_min and angle_max do"
             raise ValueError(f"{found}, allowed: at most a full turn")
         found = f"found angles of {first:.6g} to {last:.6g}, which are degrees"
-        raise ValueError(f"{found}, allowed: radians, or `units` angles=degrees")
+        raise ValueError(f"{found}, allowed: radians")
     return first, step
 
 

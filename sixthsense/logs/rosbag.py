@@ -36,7 +36,6 @@ from sixthsense.logs.ros_messages import (
 )
 from sixthsense.logs.stamps import ascending, passed_s
 from sixthsense.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
-from sixthsense.logs.units import SI, Units
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -56,8 +55,6 @@ class How(NamedTuple):
     """of odometry in /tf"""
     odometry: bool = True
     """whether the bag's odometry is used"""
-    units: Units = SI
-    """of the bag's numbers"""
 
 
 class _Stamped(NamedTuple):
@@ -116,13 +113,13 @@ def read_bag(file: str | Path, laser: LaserConfig, how: How | None = None) -> Lo
     if how.odometry and not of_odometry:
         _add_odometry_of_tf(path, recording, frame, how.frames)
     place, is_upside_down = _mount(path, recording, laser, frame)
-    unlimited = [ranges_of(each.message, how.units) for each in own if stated_reach(each.message, how.units) is None]
+    unlimited = [ranges_of(each.message) for each in own if stated_reach(each.message) is None]
     limit = max_range_of(unlimited) if unlimited else None
     made: list[tuple[_Stamped, Scan]] = []
     for each in own:
-        reach = limit if stated_reach(each.message, how.units) is None else None
+        reach = limit if stated_reach(each.message) is None else None
         try:
-            made.append((each, scan(each.message, place, is_upside_down != laser.mirrored, reach, how.units)))
+            made.append((each, scan(each.message, place, is_upside_down != laser.mirrored, reach)))
         except ValueError as error:
             recording.refuse(of_scans, error)
     if not made:
@@ -131,7 +128,7 @@ def read_bag(file: str | Path, laser: LaserConfig, how: How | None = None) -> Lo
         text = f"since range_max is not the range of a laser in {len(unlimited)} of {len(own)} scans"
         recording.found.append(Finding("assumed_range", limit, place=text))
     _describe(recording, [each for each, _ in made])
-    return _log(recording, made, laser, how.units.odometry)
+    return _log(recording, made, laser)
 
 
 def _topics(path: Path, reader: AnyReader, how: How) -> tuple[str, str]:
@@ -242,7 +239,7 @@ def _mount(path: Path, recording: _Recording, laser: LaserConfig, frame: str) ->
     return place or (Pose(), False)
 
 
-def _log(recording: _Recording, made: Sequence[tuple[_Stamped, Scan]], laser: LaserConfig, unit_m: float) -> Log:
+def _log(recording: _Recording, made: Sequence[tuple[_Stamped, Scan]], laser: LaserConfig) -> Log:
     """The log, with stamps of the headers, or with those of the recording where the headers' do not ascend."""
     stamped = [each for each, _ in made], recording.odometry
     headers, of_odometry = (_set(messages) for messages in stamped)  # the headers' are those that relations refer to
@@ -260,7 +257,7 @@ def _log(recording: _Recording, made: Sequence[tuple[_Stamped, Scan]], laser: La
     ]
     odometry = None
     if recording.odometry:
-        poses = np.array([each.message.array() for each in recording.odometry]) * (unit_m, unit_m, 1.0)
+        poses = np.array([each.message.array() for each in recording.odometry])
         odometry = Odometry(ascending(of_odometry), poses)
     return Log.of(sightings, odometry, laser, recording.found)
 

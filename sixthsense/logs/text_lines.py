@@ -6,7 +6,6 @@ import bz2
 import gzip
 import lzma
 import re
-import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,7 +25,6 @@ LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration all
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
-_UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # which its shell writes
 _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 26, 200
 """bytes that a compressed file may hold; text of numbers compresses to a tenth, hardly to a hundredth"""
 _LFS = b"version https://git-lfs"
@@ -167,7 +165,7 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
     try:
         check_regular(path)
         with path.open("rb") as raw:
-            stream = _decompressed(path, raw)
+            stream = _decompressed(raw)
             left = _BASE_BUDGET + _BUDGET_PER_BYTE * path.stat().st_size
             while line := stream.readline(LONGEST_LINE):
                 number += 1
@@ -176,8 +174,6 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
                     raise InputError(path, "found far more text than a compressed log of this size holds", "a log")
                 if line.startswith(_LFS):
                     raise InputError(path, "found a pointer of Git LFS", "the file itself, by `git lfs pull`")
-                if number == 1 and line.startswith(_UTF_16):
-                    raise InputError(path, "found text of 16 bits a letter (UTF-16)", "UTF-8 or ASCII")
                 if len(line) == LONGEST_LINE:
                     raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
                 yield number, line.removeprefix(_BYTE_ORDER_MARK)
@@ -185,13 +181,13 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise InputError(path, "no such file") from None
     except EOFError:
         raise InputError(path, f"is cut short, its compressed data ends after line {number}") from None
-    except (OSError, zlib.error, lzma.LZMAError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+    except (OSError, zlib.error, lzma.LZMAError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or f"damaged after line {number}: {error}"
         raise InputError(path, f"cannot be read ({reason})") from None
 
 
-def _decompressed(path: Path, raw: BufferedReader) -> IO[bytes]:
-    """The content of a file, by its first bytes: gzip, bzip2, xz, an archive of one file, or as it is."""
+def _decompressed(raw: BufferedReader) -> IO[bytes]:
+    """The content of a file, by its first bytes: gzip, bzip2, xz, or as it is."""
     magic = raw.peek(6)[:6]
     if magic.startswith(b"\x1f\x8b"):
         return cast(IO[bytes], gzip.GzipFile(fileobj=raw))
@@ -199,10 +195,4 @@ def _decompressed(path: Path, raw: BufferedReader) -> IO[bytes]:
         return bz2.BZ2File(raw)
     if magic.startswith(b"\xfd7zXZ"):
         return lzma.LZMAFile(raw)
-    if magic.startswith(b"PK\x03\x04"):
-        archive = zipfile.ZipFile(raw)
-        files = [one for one in archive.infolist() if not (one.is_dir() or one.filename.startswith("__MACOSX/"))]
-        if len(files) != 1:
-            raise InputError(path, f"found {len(files)} files in the archive", "one")
-        return archive.open(files[0])
     return raw

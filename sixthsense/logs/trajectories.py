@@ -19,6 +19,7 @@ _FORMS = {8: _SPACE, 4: _PLANE}
 """columns behind the stamp by the number of all, where no header names them"""
 _ALLOWED = "8 (stamp x y z qx qy qz qw), 4 (stamp x y theta), or a header that names the columns"
 _HINTS = {12: ", as those of KITTI, which have no stamps", 16: ", are there decimal commas?"}
+_ALIASES = {"yaw": "theta", "heading": "theta", **dict.fromkeys(("t", "time", "timestamp", "sec"), "stamp")}
 _SIZES = {6: 3, 21: 6, 9: 3, 36: 6}
 """numbers of a covariance, its upper triangle or all, and its size"""
 
@@ -99,22 +100,15 @@ def _read(file: Path, notes: list[str]) -> tuple[list[bytes], Table]:
 
 
 def _named(header: Sequence[bytes], width: int) -> dict[str, int]:
-    """The column of each part of a pose, by the last line of a header with so many names; empty where none has them."""
+    """The column of each part of a pose, by the last line of a header with so many names; empty where none has them.
+
+    EuRoC names q_RS_w and p_RS_R_x what others name qw and x.
+    """
     for line in reversed(header):
-        names = words(re.sub(rb"\[[^]]*\]", b"", line).lstrip(b"# "), _SEPARATORS)
-        columns: dict[str, int] = {}
-        for place, name in enumerate(names):
-            columns.setdefault(_part(name.decode("ascii", "replace").lower()), place)
-        if len(names) == width and any(all(part in columns for part in form) for form in (_SPACE, _PLANE)):
+        text = re.sub(rb"\[[^]]*\]", b"", line)
+        names = [name.decode("ascii", "replace") for name in words(text.lstrip(b"# ").lower(), _SEPARATORS)]
+        parts = [re.sub(r"^(?:(q)|p|t|pos|position)[a-z_.]*?_?([xyzw])$", r"\1\2", name) for name in names]
+        columns = {_ALIASES.get(part, part): place for place, part in reversed(list(enumerate(parts)))}
+        if len(names) == width and any(columns.keys() >= set(form) for form in (_SPACE, _PLANE)):
             return columns
     return {}
-
-
-def _part(name: str) -> str:
-    """The part of a pose that the name of a column means: `q_RS_w` and `qw`, `p_RS_R_x` and `x`."""
-    if name in ("theta", "yaw", "heading"):
-        return "theta"
-    if name in ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"):
-        return "stamp"
-    found = re.fullmatch(r"(?:(q|p|t|pos|position)[a-z_.]*?_?)?([xyzw])", name)
-    return name if found is None else f"q{found[2]}" if found[1] == "q" else found[2]

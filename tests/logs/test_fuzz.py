@@ -128,23 +128,15 @@ def test_damaged_files_and_random_bytes_give_a_result_or_one_line(name, record):
 NOISE = random.Random(0).randbytes(5000)
 BAD_FILES = [
     ("run s.toml", {"s.toml": ROOM.split("walls")[0]}, "walls: found none, allowed: at least one wall"),
-    ("run s.toml", {"s.toml": ROOM.replace("[4, 0, 4, 2]", "[4, 0, nan, 2]")}, "walls, entry 2: found nan"),
-    ("run m.yaml", {"m.yaml": MAP}, "m.pgm: no such image file"),
     ("run m.yaml", {"m.yaml": MAP, "m.pgm": b"P5 50000 50000 255\n"}, "m.pgm: not a readable image ("),
     ("run m.yaml", {"m.yaml": MAP.replace("m.pgm", "/dev/zero")}, "/dev/zero: no such image file"),
-    ("run --config c.toml", {"c.toml": ".".join(["a"] * 40_000) + " = 1"}, "c.toml: is not usable TOML"),
-    ("replay x.log", {"x.log": "FLASER 3 1 a 2 0 0 0 0 0 0 1 h 1\n"}, "x.log line 1: found "),
     ("replay x.log.gz", {"x.log.gz": b"\x1f\x8b" + NOISE}, "x.log.gz: cannot be read (damaged after line 0"),
-    ("replay x.log --relations r", {"x.log": "FLASER 3 1 2 2 0 0 0 0 0 0 1 h 1\n" * 3, "r": NOISE}, "r line 1: found "),
     ("replay x.bag", {"x.bag": NOISE}, "x.bag: cannot be read as a bag"),
     ("replay run", {"run/config.toml": "", "run/record.mcap": NOISE}, "run/record.mcap: is not an MCAP file"),
-    ("run a\nb.toml", {}, r"scene: found 'a\nb.toml', allowed: a text without line breaks or control characters"),
 ]
 
 
-@pytest.mark.parametrize(
-    ("line", "files", "said"), BAD_FILES, ids=[f"{k}-{row[0]!r}" for k, row in enumerate(BAD_FILES)]
-)
+@pytest.mark.parametrize(("line", "files", "said"), BAD_FILES, ids=range(len(BAD_FILES)))
 def test_an_invalid_file_gives_one_line_and_writes_nothing(line, files, said, tmp_path, monkeypatch, complaint):
     monkeypatch.chdir(tmp_path)
     for name, content in files.items():

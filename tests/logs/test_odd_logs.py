@@ -95,11 +95,11 @@ def test_an_odd_bag_has_its_returns_on_the_walls_and_says_what_is_odd(name, tmp_
 
 # name: keywords of the bag, what is said
 REFUSED = {
-    "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians, or `units` angles="),
+    "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians"),
     "increment of twice": (
         {"scan": lambda n, says: {**says, "first": -3.0, "step": 0.05, "last": 3.0}}, "spans 1.99 times"),
-    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "or `units` ranges=mm"),
-    "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "or `units` odometry=mm"),
+    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "which are mm or cm, allowed: metres"),
+    "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "which are mm or cm, allowed: metres"),
     "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by `topics` /rear or /scan"),
     "no scans": ({"scan": lambda n, says: None}, "but /odom (Odometry)"),
     "no return": ({"scan": at(every, "ranges", NAN)}, "found no return in 60 scans"),
@@ -119,14 +119,6 @@ def test_a_bag_that_cannot_be_right_is_refused_in_one_line_that_names_the_option
     with pytest.raises(InputError) as caught:
         read(robot_bag(tmp_path / "bag", **how))
     assert said in str(caught.value) and "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["degrees", "millimetres", "odometry in mm"])
-def test_a_bag_in_other_units_is_read_with_the_option(name, tmp_path):
-    units = {"degrees": "angles=degrees", "millimetres": "ranges=mm", "odometry in mm": "odometry=mm"}[name]
-    log, _ = read(robot_bag(tmp_path / "bag", **REFUSED[name][0]), units=[units])
-    assert off_walls_m(log.ticks) < 1e-4
-    assert log.ticks[-1].odometry.array() == pytest.approx(way(5.98).array(), abs=1e-5)
 
 
 def test_a_topic_of_poses_is_odometry_where_it_is_named(tmp_path):

@@ -57,12 +57,6 @@ OPTIONS = [
     ({"preset": "log"}, LogSelection(), "preset", {"carmen", "graph", "bag", "mrclam"}),
     ({"laser": {"max_range": 7.0}}, LogSelection(), "laser.max_range", {"carmen"}),
     ({"laser": {"mount": (0.2, 0.3, 0.4)}}, LogSelection(), "laser.mount", {"carmen", "run", "bag"}),
-    ({"no_odometry": True}, LogSelection(), "no_odometry", {"carmen", "run", "bag"}),
-    ({"keyframes": {"distance_m": 0.3}}, LogSelection(), "keyframes.distance_m", {"carmen", "run", "bag"}),
-    (
-        {"assumed": {"landmark_floor_m": 0.3}}, LogSelection(), "assumed.landmark_floor_m",
-        {"carmen", "run", "bag", "mrclam"},
-    ),
     ({"robot": {"speed": 0.3}}, LogSelection(), "robot.speed", set()),
     ({"robot": {"radius": 0.3}}, LogSelection(), "robot.radius", {"carmen", "graph", "run", "bag", "mrclam"}),
     ({"world": {"walkers": 3}}, LogSelection(), "world", set()),
