@@ -23,29 +23,20 @@ class Kind(NamedTuple):
 KINDS = {
     # of both scans and odometry
     "clocks": Kind("applied", "turns show {value:.2f} s later in the scans than in the odometry", "time_offset"),
-    "field_of_view": Kind(
-        "applied", "the turns of scans and odometry fit a field of view of {degrees:.1f}°", "laser.fov"
-    ),
+    "field_of_view": Kind("applied", "the turns fit a field of view of {degrees:.1f}°", "laser.fov"),
     "frozen_odometry": Kind("applied", "the odometry never changes, but the scans do", "no_odometry"),
     "still": Kind("said", "the odometry never changes: the robot is taken to stand, and its first scan is the map"),
     "turned_around": Kind(
         "said",
-        "scans turn the other way round from odometry: are ranges from right to left (`laser.mirrored`), or do the "
-        "wheels report their turns with the wrong sign?",
+        "scans turn against the odometry: ranges from right to left, or turns of inverted sign?",
         "laser.mirrored",
     ),
-    "turn_scale": Kind(
-        "said",
-        "the odometry turns {value:.2f} times as far as the scans: are the angles of the beams or the wheels wrong?",
-        "laser.fov",
-    ),
+    "turn_scale": Kind("said", "the odometry turns {value:.2f} times as far as the scans", "laser.fov"),
     "one_clock": Kind("refused", "scans and odometry that share no time: {place}"),
     # of odometry
     "jump": Kind("said", "odometry jumps {place}, at most by {value:.1f} m: it goes on from where it was"),
     "gap": Kind("said", "no odometry {place}: {value:.0f} scans are predicted by the last velocity"),
-    "driven_backward": Kind(
-        "said", "the odometry drives backward for {value:.0%} of its way: do the wheels report the wrong sign?"
-    ),
+    "driven_backward": Kind("said", "odometry drives backward for {value:.0%} of its way: is its sign wrong?"),
     "odometry_unit": Kind("refused", "positions of odometry that change by {value:.4g} a second, which are mm or cm"),
     "headings_unit": Kind("refused", "headings of odometry, along which the robot goes only if they are degrees"),
     "headings_inverted": Kind("refused", "headings of odometry, along which the robot goes only with the other sign"),

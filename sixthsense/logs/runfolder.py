@@ -162,17 +162,15 @@ def read_messages(file: Path) -> tuple[list[Message], bool]:
         check_regular(file)
         with file.open("rb") as stream:
             reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_CHUNK)
-            messages = reader.iter_messages(log_time_order=False)
-            while True:
-                try:
-                    schema, channel, message = next(messages)
-                except StopIteration:
-                    break
-                except InvalidMagic:
-                    raise InputError(file, "is not an MCAP file", "the record of a run") from None
-                except Exception:  # the writer was stopped here; an incomplete record raises any exception
-                    is_cut = True
-                    break
+            raw: list[Any] = []
+            try:
+                for each in reader.iter_messages(log_time_order=False):
+                    raw.append(each)
+            except InvalidMagic:
+                raise InputError(file, "is not an MCAP file", "the record of a run") from None
+            except Exception:  # the writer was stopped here; an incomplete record raises any exception
+                is_cut = True
+            for schema, channel, message in raw:
                 if schema is None or schema.encoding != "rows":
                     value = json.loads(message.data)
                 else:
