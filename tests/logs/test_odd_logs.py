@@ -98,7 +98,7 @@ REFUSED = {
     "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians"),
     "increment of twice": (
         {"scan": lambda n, says: {**says, "first": -3.0, "step": 0.05, "last": 3.0}}, "spans 1.99 times"),
-    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "which are mm or cm, allowed: metres"),
+    "millimetres": ({"scan": at(every, "unit", 1000.0)}, "mm"),
     "odometry in mm": ({"odom": at(every, "unit", 1000.0)}, "which are mm or cm, allowed: metres"),
     "two topics": ({"scan": at(lambda n: n % 2, "topic", "/rear")}, "allowed: one, by `topics` /rear or /scan"),
     "no scans": ({"scan": lambda n, says: None}, "but /odom (Odometry)"),
