@@ -179,6 +179,8 @@ def checked(kind: type[M], table: Any) -> M:
     if first["type"] == "missing" and len(first["loc"]) == 1:
         required = [name for name, field in kind.model_fields.items() if field.is_required()]
         raise InputError(found.where, f"missing, required are {', '.join(required)}")
+    if first["type"] == "too_long":
+        raise InputError(found.where, f"found {first['ctx']['actual_length']}", f"at most {first['ctx']['max_length']}")
     name, _, part = found.where.partition(".")
     entry = next((f"entry {k + 1}" for k in first["loc"] if isinstance(k, int)), "")
     raise found.at(", ".join(filter(None, [name, entry, part])))

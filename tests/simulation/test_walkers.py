@@ -95,7 +95,7 @@ def test_walks_that_cannot_be_are_refused_by_their_point(tmp_path: Path) -> None
         ("points = [[-1.3, 4.4], [1.57, 4.4]]", r"entry 1, point 2: found \(1.57, 4.4\), in a wall"),
         ("points = [[-1.3, 4.4], [1.0, 5.0]]\npauses = [2.0]", "entry 1, pauses: found 1, allowed: a time for each"),
         ("points = [[-1.3, 4.4]]\nspeed = 3.5", "entry 1, speed: found 3.5"),
-        ("\n[[walkers]]\n".join(["points = [[-1.3, 4.4]]"] * 201), "walkers: found"),
+        ("\n[[walkers]]\n".join(["points = [[-1.3, 4.4]]"] * 201), "walkers: found 201, allowed: at most 200"),
     ):
         file = tmp_path / "walked.toml"
         file.write_text(f"{text}[[walkers]]\n{walk_text}\n")
