@@ -30,10 +30,6 @@ if TYPE_CHECKING:
 FILE, ROWS = "campaign.toml", "rows.jsonl"
 TEXTS = ("config_hash", *AXES, "task", "host", "version", "outcome", "verdict", "error")
 """text columns of every row; `error` is filled only for a failed run, which has no metrics"""
-NUMBERS = ("seed", "run_time_s")
-"""number columns of every row"""
-ORDER = (*AXES, "seed")
-"""columns by which a frame is sorted"""
 
 
 class Saved(Section):
@@ -117,9 +113,9 @@ class CampaignRows:
         import pandas as pd
 
         rows = list(self.rows.read().values())
-        names = dict.fromkeys([*TEXTS, *NUMBERS, *(name for row in rows for name in row)])
+        names = dict.fromkeys([*TEXTS, "seed", "run_time_s", *(name for row in rows for name in row)])
         frame = pd.DataFrame(rows, columns=list(names))
-        return frame.sort_values(list(ORDER), ignore_index=True)
+        return frame.sort_values([*AXES, "seed"], ignore_index=True)
 
     def curves(self) -> dict[str, pd.DataFrame]:
         """The errors along each run, by hash; none for a run that failed. InputError for a damaged file."""

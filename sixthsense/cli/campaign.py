@@ -12,9 +12,10 @@ from pydantic import Field
 from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
 from sixthsense.cli.options import Arg, Options, Table
-from sixthsense.config import is_of_replay, load_config, preset
+from sixthsense.config import load_config, preset
 from sixthsense.config import parts as part_kinds
 from sixthsense.config.errors import InputError
+from sixthsense.config.files import NOTES, read_table
 from sixthsense.config.tree import task_of
 
 
@@ -117,14 +118,11 @@ def _read_config_table(path: Path | None, presets: tuple[str, ...]) -> dict[str,
     """Validate a configuration file and return its table; {} without a file."""
     if path is None:
         return {}
-    for name in presets:
-        load_config(path, preset(name))
-    load_config(path)
-    if is_of_replay(path):
-        raise InputError("config", f"{path} is of a replay", "the configuration of a simulated run")
-    from sixthsense.config.files import NOTES, read_table
-
+    for base in (*map(preset, presets), None):
+        load_config(path, base)
     table = read_table(path)
+    if "replayed" in table:
+        raise InputError("config", f"{path} is of a replay", "the configuration of a simulated run")
     if presets and "preset" in table:
         raise InputError("preset", f"found with {path}, which names a preset", "one of the two")
     return {name: value for name, value in table.items() if name not in NOTES}

@@ -95,11 +95,8 @@ def save_config(
 
 
 def absolute(path: str | Path) -> Path:
-    """The absolute path, links followed; only absolute if the links form a loop, which whoever opens it reports."""
-    try:
-        return Path(path).resolve()
-    except (OSError, RuntimeError):
-        return Path(path).absolute()
+    """The absolute path, links followed; links that form a loop are left to whoever opens it."""
+    return Path(os.path.realpath(path))
 
 
 def is_of_replay(file: str | Path) -> bool:

@@ -110,7 +110,6 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
 
     The image is cropped to the known cells.
     """
-    import yaml
     from PIL import Image
 
     known = known_part(occupancy, origin, cell_m)
@@ -120,17 +119,9 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
     shades = np.select([part == 0, part == 100], [np.uint8(254), np.uint8(0)], np.uint8(205))
     with whole(folder / "map.pgm") as file:
         Image.fromarray(shades[::-1]).save(file)  # the first row of an image is the top of the map
-    meta = {
-        "image": "map.pgm",
-        "mode": "trinary",
-        "resolution": cell_m,
-        "origin": [left, bottom, 0.0],
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": 0.196,
-    }
+    text = f"image: map.pgm\nmode: trinary\nresolution: {cell_m}\norigin: [{left}, {bottom}, 0.0]\n"
     with whole(folder / "map.yaml") as file:
-        file.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
+        file.write_text(f"{text}negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n", encoding="utf-8")
 
 
 def graph_arrays(trace: Trace) -> dict[str, NDArray[Any]]:

@@ -111,7 +111,8 @@ def keyframe_table(trace: Trace, k: int) -> Any:
 def read_keyframes(trace: Trace, tables: Sequence[Mapping[str, Any]]) -> None:
     """Set in a trace what the tables of all keyframes have."""
     columns = {name: [table["fields"][name] for table in tables] for name in tables[0]["fields"]}
-    _set(trace, read_fields(columns))
+    for name, values in read_fields(columns).items():
+        setattr(trace, name, values)
     trace.stopwatch.rows, trace.stopwatch.totals = [table["ms"] for table in tables], tables[-1]["total_ms"]
 
 
@@ -126,7 +127,8 @@ def end_table(trace: Trace, metrics: Mapping[str, Any], arrays: dict[str, NDArra
 
 def read_end(trace: Trace, table: Mapping[str, Any], arrays: Arrays) -> None:
     """Set in a trace what `end_table` has of it."""
-    _set(trace, read_fields(table["fields"], arrays))
+    for name, value in read_fields(table["fields"], arrays).items():
+        setattr(trace, name, value)
     trace.stopwatch.totals, trace.since_key = table["total_ms"], list(_unpacked(table["since_key"], arrays))
     ids = trace.final.ids.tolist()
     if len(trace.joint_cov) != 3 + 2 * len(ids) or not set(ids) <= set(trace.records):
@@ -135,8 +137,3 @@ def read_end(trace: Trace, table: Mapping[str, Any], arrays: Arrays) -> None:
         hits, passes, seen = grid["counts"]
         counts = hits.astype(np.int32), passes.astype(np.int32), seen
         trace.grid = Grid.from_counts(trace.config.grid, trace.radius_m, tuple(grid["origin"]), *counts)
-
-
-def _set(trace: Trace, fields: Mapping[str, Any]) -> None:
-    for name, value in fields.items():
-        setattr(trace, name, value)

@@ -19,7 +19,7 @@ from sixthsense.logs.runfolder import FILE, Message, read_messages, readable, ti
 from sixthsense.record.fields import read_end, read_fields, read_keyframes, read_scans
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import LandmarkPrior
-from sixthsense.slam.mapping.submap import Submap
+from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.prior_map import KeyScans, PriorMap, PriorStart
 
 END = "the run's end: outcome, counts, clocks, final trajectory and landmarks"
@@ -114,10 +114,7 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     kept = {i: trace.records[i] for i in final.ids.tolist()}
     extents = np.array([record.extent for record in kept.values()])
     landmarks = LandmarkPrior(final.ids, final.landmarks, final.walls, cov, extents)
-    none = np.zeros(0, np.int32)
-    evidence = Submap(np.zeros((0, 2), np.int64), none, none, np.zeros(0, np.bool_), np.zeros((0, 3), np.int16))
-    if trace.grid is not None:
-        evidence = trace.grid.submap()
+    evidence = (trace.grid or Grid(trace.config.grid, trace.radius_m)).submap()
     counts = np.array([(one.kind, one.observations, one.first_scan, one.last_scan) for one in kept.values()])
     arrays = (final.ids, final.walls, final.landmarks, cov, counts, extents, *evidence)
     digest = hashlib.sha256(b"".join(array.tobytes() for array in arrays))
@@ -147,5 +144,4 @@ def prior_start(
     place, spread = given
     if spread is not None and min(spread) < 0.0:
         raise InputError("pose_sigma", f"found {' '.join(map(str, spread))}", "at least 0")
-    there = None if place is None else Pose(*place)
-    return PriorStart(read_prior_map(folder), there, spread or (0.0, 0.0, 0.0))
+    return PriorStart(read_prior_map(folder), Pose(*place) if place else None, spread or (0.0, 0.0, 0.0))

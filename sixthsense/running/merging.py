@@ -19,7 +19,6 @@ from sixthsense.logs.log import Log
 from sixthsense.logs.replay_input import ReplayInput, open_recorded
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.store import load_record
-from sixthsense.record.trace import Trace
 from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.prior_map import KeyScans
 from sixthsense.slam.relocalization import Relocalizer
@@ -38,12 +37,6 @@ class Merged(ReplayInput):
     """stamp of the second run's first tick"""
 
 
-def joining_links(trace: Trace, begin_ns: int) -> int:
-    """The number of links between the keyframes of a merged run before a stamp and those from it on."""
-    first = int(np.searchsorted(trace.key_stamps_ns, begin_ns))
-    return 0 if trace.links is None else int(np.sum((trace.links.ends < first).sum(axis=1) == 1))
-
-
 def open_merged(first: Path, second: Path, config: Config) -> Merged:
     """The folders of two runs as one log, by the configuration of the first. Raises what `merged_log` raises.
 
@@ -58,8 +51,8 @@ def open_merged(first: Path, second: Path, config: Config) -> Merged:
 
 
 def _aligning(config: Config) -> Config:
-    changed = merge(config, {"front_end": "scan-matching", "estimator": "isam2", "calibrate_wheels": False})
-    return changed.replaced(max_time=None)
+    aligning = {"front_end": "scan-matching", "estimator": "isam2", "calibrate_wheels": False, "max_time": None}
+    return merge(config, aligning)
 
 
 def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
@@ -100,7 +93,8 @@ def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> 
         trace = run.trace
         if trace.outcome == "interrupted":
             return
-        links = joining_links(trace, merged.begin_ns)
+        first = np.searchsorted(trace.key_stamps_ns, merged.begin_ns)
+        links = 0 if trace.links is None else int(((trace.links.ends < first).sum(axis=1) == 1).sum())
         if not links:
             found = "found no scan of the second run that could be linked to the first"
             raise InputError("merge", found, "two runs that share a part of one building")

@@ -29,13 +29,12 @@ class _FirstCompilation(event.Listener):
     """Say once that Numba compiles, rather than loads what it has compiled before."""
 
     def __init__(self, say: Callable[[str], object]) -> None:
-        self._say: Callable[[str], object] | None = say
+        self._say = say
 
     def on_start(self, event: object) -> None:
         """Say that a compilation begins."""
-        if self._say is not None:
-            self._say(COMPILING)
-            self._say = None
+        say, self._say = self._say, lambda _: None
+        say(COMPILING)
 
     def on_end(self, event: object) -> None:
         """Nothing."""
@@ -46,11 +45,10 @@ def prepare(say: Callable[[str], object], config: Config | None = None, of_log: 
 
     `of_log` is whether the run replays a log: with scan matching alone it needs neither a world nor a planner.
     """
-    matches = config is not None and "scan-matching" in (config.front_end, config.association.proposed_by)
     with event.install_listener("numba:compile", _FirstCompilation(say)), deferred_interrupt() as interrupted:
         if config is None or not of_log or config.front_end != "scan-matching":
             warm_up()
-        if matches:
+        if config is not None and "scan-matching" in (config.front_end, config.association.proposed_by):
             warm_up_scans()
         if interrupted():
             raise KeyboardInterrupt

@@ -10,7 +10,6 @@ import pytest
 import sixthsense as ss
 from sixthsense import cli, testing
 from sixthsense.config.errors import PartError
-from sixthsense.config.parts import KINDS
 
 PAGES = Path(__file__).parents[2] / "docs" / "howto" / "parts"
 EXAMPLES = [file for file in PAGES.glob("*.py") if file.name != "ros_node.py"]
@@ -34,12 +33,6 @@ def lab(tmp_path, monkeypatch):
 def sixthsense(*words):
     done = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False)
     return done.returncode, done.stdout, done.stderr
-
-
-def test_every_example_is_a_file_of_at_most_40_lines():
-    assert len(EXAMPLES) == len(KINDS)
-    for file in EXAMPLES:
-        assert len(file.read_text().splitlines()) <= 40, file.name
 
 
 def test_an_estimator_of_one_file_is_checked_run_replayed_compared_and_sent_to_the_workers_of_a_campaign(lab):

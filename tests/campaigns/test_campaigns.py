@@ -153,21 +153,3 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
     assert len(frame) == 8 and not frame.duplicated(IDENTITY).any()
     assert set(frame["outcome"]) == {"tour ended"} and "8 tour ended" in out
     assert "Traceback" not in err
-
-
-@pytest.mark.slow
-def test_a_run_that_kills_every_worker_is_a_row_and_takes_no_other_down(here):
-    patch = """
-import sixthsense.campaigns.worker as worker, os
-whole = worker._metrics
-worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(config)
-"""
-    (here / "sitecustomize.py").write_text(patch)
-    words = ("rectangle", *SHORT, "--seeds", "0:4", "--out", "c", "--workers", "2")
-    path = os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")])
-    campaign = program(*words, PYTHONPATH=path)
-    _, err = campaign.communicate()
-    assert campaign.returncode == 1 and "Traceback" not in err
-    frame = ss.load_campaign("c").frame()
-    assert frame["outcome"].tolist() == ["tour ended", "error", "tour ended", "tour ended"]
-    assert frame["error"][1] == "LostWorkerError: 2 workers died in this run"

@@ -45,15 +45,6 @@ def test_a_run_begins_with_the_map_and_the_next_with_its_map(first, here, capsys
     assert set(ids[0]) <= set(ids[1])
 
 
-def test_python_takes_the_same_options(first):
-    run = ss.run("rectangle", task="tour", max_time=2.0, prior_map=first, pose=(-1.4, -0.4, 0.0), progress=False)
-    assert run.trace.prior_map["name"] == "first"
-    again = ss.replay(first, prior_map=first, pose_sigma=(0.1, 0.1, 0.05), progress=False)
-    assert again.trace.prior_map["pose_sigma"] == [0.1, 0.1, 0.05]
-    with pytest.raises(ss.InputError, match=r"^pose: found without `prior_map`, allowed: with it$"):
-        ss.run("rectangle", pose=(0.0, 0.0, 0.0))
-
-
 def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, complaint):
     (here / "other.toml").write_text(OTHER)
     line = complaint("run", "other.toml", "--prior-map", str(first))

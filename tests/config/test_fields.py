@@ -2,11 +2,8 @@
 
 import inspect
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
-import pytest
 import rewrite_fields
 
 import sixthsense as ss
@@ -50,25 +47,3 @@ def test_a_section_knows_what_was_stated(tmp_path: Path) -> None:
     for replayed, count in ((None, 0), ({"log": "a.log"}, len(ss.LaserConfig.model_fields))):
         ss.save_config(twice, tmp_path / "saved.toml", replayed)
         assert len(ss.load_config(tmp_path / "saved.toml").laser.explicit_fields) == count
-
-
-@pytest.mark.slow
-def test_a_type_checker_rejects_a_misspelt_field(tmp_path: Path) -> None:
-    lines = [
-        "import sixthsense as ss",
-        'ss.run("apartment", estimator="ekf", laser={"beams": 90}, goal=(1, 2.5), max_time=None)',
-        'ss.run("apartment", estimatr="ekf")',
-        'ss.run("apartment", laser=ss.LaserConfig(beam=90))',
-        'ss.replay("a.log", robot=3, front_end="landmarks", laser=ss.LaserConfig(max_range=8.0))',
-        'ss.replay("a.log", seed="3")',
-        'ss.preset("worn", estimatr="ekf")',
-        'ss.campaign("apartment", seeds=range(3), out="c", estimator=["ekf", "isam2"])',
-        'ss.campaign("apartment", seeds=range(3), out="c", estimatr=["ekf", "isam2"])',
-        'ss.run("apartment").plot("error", over="distance").savefig("a.png")',
-    ]
-    (tmp_path / "snippet.py").write_text("\n".join(lines))
-    command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "snippet.py"]
-    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
-    found = [line.split(":")[1] for line in said.splitlines() if ": error: " in line]
-    assert found == ["3", "4", "6", "7", "9"], said
-    assert 'Unexpected keyword argument "estimatr" for "run"; did you mean "estimator"?' in said

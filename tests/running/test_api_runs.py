@@ -28,16 +28,6 @@ def same(one, two):
     )
 
 
-def test_fields_are_given_by_name_and_sections_as_mappings():
-    run = ss.run("rectangle", preset="worn", estimator="ekf-fej", seed=3, features={"landmarks": "corners"}, **SHORT)
-    assert run.outcome == "tour ended"
-    config = run.trace.config
-    assert (config.preset, config.estimator, config.seed, config.scene) == ("worn", "ekf-fej", 3, "rectangle")
-    assert config.features.landmarks == "corners"
-    assert config.world.wheel_scale_error == 0.02
-    assert run.name == "rectangle"
-
-
 def test_a_folder_is_replayed_with_its_own_configuration_and_fields_over_it(folder):
     out, run = folder
     assert same(ss.replay(out), run)
