@@ -300,7 +300,7 @@ class Slam:
     def _add_to_map(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
         walls = keyframe.features.walls
         if self.config.grid.walls:
-            gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, 2.0 * self._radius_m)
+            gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, self._radius_m)
             walls = np.concatenate([walls, gaps])
         self._mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
         if self._draws_map:

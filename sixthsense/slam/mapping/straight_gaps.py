@@ -2,7 +2,9 @@
 
 The reciprocal of the range to a straight wall is cos(bearing - normal) / distance. So three returns are of one wall if
 the middle one's reciprocal is what this gives for its two neighbours. Of a wall at a grazing angle returns are farther
-apart than the cells of a map, and what lies between them would count as unseen.
+apart than the cells of a map, and what lies between them would count as unseen. A gap through which no robot fits is
+closed. Along the beams it may be longer: there a gap of a robot's radius across them is several robots long, and a
+robot that looks along a wall would drive up to each of its gaps. A gap that is a door opens when beams pass through it.
 """
 
 from __future__ import annotations
@@ -16,13 +18,17 @@ from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 
+_ALONG = 6.0
+"""radii of the robot: a longer gap stays open, however narrow it is across the beams"""
 
-def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, longest_m: float) -> Array:
-    """(W, 2, 2) the gaps of one wall whose length is between two limits, robot frame, metres."""
-    is_return = (scan.ranges > 0.0) & (scan.ranges < scan.max_range)
-    ranges = np.where(is_return, scan.ranges, np.nan).astype(np.float64)
+
+def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, radius_m: float) -> Array:
+    """(W, 2, 2) the gaps of one wall that are longer than a limit and no way for a robot, robot frame, metres."""
+    ranges = np.where((scan.ranges > 0.0) & (scan.ranges < scan.max_range), scan.ranges.astype(np.float64), np.nan)
     # Of each return and its neighbours before and after, those of a closed scan around its end.
     after = (np.roll(scan.bearings, -1) - scan.bearings) % math.tau
+    if not scan.closed:
+        after[-1] = math.pi
     before = np.roll(after, 1)
     q = 1.0 / ranges
     q_before, q_after = np.roll(q, 1), np.roll(q, -1)
@@ -34,12 +40,10 @@ def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, longest_m: f
             variance += weight * weight * ((noise.range_m * value * value) ** 2 + (noise.bearing_rad * slope) ** 2)
         off = np.abs(share_before * q_before + share_after * q_after - q)
         is_straight = (before + after < math.pi) & (off <= SIGNIFICANT * np.sqrt(variance))
-    if not scan.closed:
-        is_straight[[0, -1]] = False
     points = ranges[:, None] * np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)])
     gaps = np.stack([points, np.roll(points, -1, axis=0)], axis=1)
     length = np.linalg.norm(gaps[:, 1] - gaps[:, 0], axis=1)
-    is_gap = (is_straight | np.roll(is_straight, -1)) & (shortest_m < length) & (length < longest_m)
-    if not scan.closed:
-        is_gap[-1] = False
+    across = np.fmin(ranges, np.roll(ranges, -1)) * np.sin(after)
+    longest = np.where(across < radius_m, _ALONG * radius_m, 2.0 * radius_m)
+    is_gap = (is_straight | np.roll(is_straight, -1)) & (after < math.pi) & (shortest_m < length) & (length < longest)
     return np.asarray(scan.T_robot_laser @ gaps[is_gap])

@@ -1,5 +1,6 @@
 """Free space, discs, gaps and boxes against plain references, for general places, margins and sizes of cells."""
 
+import itertools
 import math
 
 import numpy as np
@@ -130,7 +131,10 @@ def test_a_return_is_of_one_wall_with_its_neighbours_within_three_sigmas(sigmas,
         for gap in gaps:
             assert any(gap == pytest.approx(ends[k : k + 2], abs=1e-5) for k in (0, 1))
         if count:
-            longest = max(math.dist(*gap) for gap in gaps)
             noise = LaserNoise(range_m=sigmas[0], bearing_rad=sigmas[1])
-            assert len(straight_gaps(scan, noise, 0.01, longest - 1e-6)) == 1
-            assert len(straight_gaps(scan, noise, longest - 1e-6, 2.0)) == 1
+            length = [math.dist(*pair) for pair in itertools.pairwise(ends)]
+            across = [min(pair) * math.sin(spacing) for pair in itertools.pairwise(seen.astype(np.float32))]
+            assert len(straight_gaps(scan, noise, max(length) - 1e-6, 2.0)) == 1
+            for radius in np.linspace(0.02, 0.6, 30):
+                closed_gaps = [m < (6.0 if a < radius else 2.0) * radius for m, a in zip(length, across, strict=True)]
+                assert len(straight_gaps(scan, noise, 0.01, radius)) == sum(closed_gaps)
