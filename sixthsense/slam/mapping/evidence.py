@@ -185,7 +185,9 @@ class ScanCells(NamedTuple):
     returned: Bools
     """(N,) whether the beam ends at a return"""
     walls: NDArray[np.int64]
-    """(2 W, 2) both ends of each fitted wall"""
+    """(2 W, 2) both ends of each wall"""
+    fitted: int
+    """walls, the first ones, that are drawn in any case; others are drawn where no beams have shown a way through"""
     end_points: Array
     """(N, 2) where each beam ends, row and col from the centre of the cell (0, 0), in cells"""
 
@@ -244,13 +246,13 @@ def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, rules: 
         cells.seen[cell] = True
         if returned[i]:
             _hit(cells, cell, hit, rules)
-            down, across = scan.end_points[i, 0] - ends[i, 0], scan.end_points[i, 1] - ends[i, 1]
-            _add_return(cells, cell, down, across)
+            _add_return(cells, cell, scan.end_points[i, 0] - ends[i, 0], scan.end_points[i, 1] - ends[i, 1])
     for j in range(0, len(walls), 2):
         line = line_cells(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1])
         for k in range(len(line)):
             cell = slot(index, line[k, 0], line[k, 1])
-            _hit(cells, cell, hit, rules)
+            if j < 2 * scan.fitted or cells.passes[cell] <= rules.passes_per_hit * cells.hits[cell]:
+                _hit(cells, cell, hit, rules)
     for i in range(len(ends)):
         line = line_cells(laser[0], laser[1], ends[i, 0], ends[i, 1])
         for k in range(len(line) - 1 if returned[i] else len(line)):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +33,15 @@ from sixthsense.slam.mapping.submap import Submap, add_submap
 
 _MOST_CELLS = 1000
 """of a robot's radius and clearance; a larger disc takes longer to draw than a robot takes to drive"""
+
+
+class Walls(NamedTuple):
+    """Segments (n, 2, 2) where a scan shows walls, also between its returns; robot frame, metres."""
+
+    fitted: Array
+    """to returns"""
+    gaps: Array
+    """between two returns; they close no cell that beams have shown to be free, such as a door's"""
 
 
 class Grid:
@@ -69,8 +78,7 @@ class Grid:
         row, col = round(y / config.cell_m), round(x / config.cell_m)
         kept = np.nonzero((hits > 0) | (passes > 0) | seen)
         cells = np.stack(kept, axis=1) + np.array([row, col])
-        places = np.zeros((len(cells), 3), dtype=np.int16)
-        grid.compose([Submap(cells, hits[kept], passes[kept], seen[kept], places)])
+        grid.compose([Submap(cells, hits[kept], passes[kept], seen[kept], np.zeros((len(cells), 3), dtype=np.int16))])
         grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
         return grid
 
@@ -81,8 +89,8 @@ class Grid:
         self._bodies: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
         """(N, 2) cells, row, col from the world's origin, of who stands in the way"""
 
-    def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> Box:
-        """Count one scan taken at `T_world_robot`, and the (W, 2, 2) wall segments (robot frame, metres) fitted to it.
+    def add(self, T_world_robot: Pose, scan: Scan, walls: Walls) -> Box:
+        """Count one scan taken at `T_world_robot`, and the walls that it shows.
 
         Returns the box of the cells that may have changed.
 
@@ -98,8 +106,8 @@ class Grid:
         reach = np.minimum(ranges[valid], scan.max_range)
         angles = scan.bearings[valid] + T_world_laser.theta
         ends = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=1) + T_world_laser.position
-        fitted = (T_world_robot @ walls_robot).reshape(-1, 2) if self._config.walls else np.empty((0, 2))
-        points = np.concatenate([T_world_laser.position[None], ends, fitted])[:, ::-1] / self._config.cell_m
+        lines = (T_world_robot @ np.concatenate(walls)).reshape(-1, 2) if self._config.walls else np.empty((0, 2))
+        points = np.concatenate([T_world_laser.position[None], ends, lines])[:, ::-1] / self._config.cell_m
         if not np.isfinite(points).all():
             raise ValueError("scan: found a pose, a wall or a range that is not finite, allowed: finite numbers")
         before, cells = self._box, np.floor(points)
@@ -107,7 +115,7 @@ class Grid:
         box = box_of(cells.astype(np.int64))
         tiles, n = self._tiles, 1 + len(ends)
         local, exact = cells.astype(np.int64) - tiles.first, points - tiles.first - 0.5
-        touched = ScanCells(local[0], local[1:n], returned, local[n:], exact[1:n])
+        touched = ScanCells(local[0], local[1:n], returned, local[n:], len(walls.fitted), exact[1:n])
         try:
             tiles.allocate(tiles.touched_by([box]))
         except InputError:

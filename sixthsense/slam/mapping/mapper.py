@@ -13,7 +13,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, box_of
 from sixthsense.slam.mapping.evidence import EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.grid import Grid, disc
+from sixthsense.slam.mapping.grid import Grid, Walls, disc
 from sixthsense.slam.mapping.submap import Submap
 
 _NOTHING = np.zeros((0, 2))
@@ -26,7 +26,7 @@ SCANS_PER_SUBMAP = 10
 class Additions(NamedTuple):
     """What a mapper was given since a number of keyframes: another one that takes it draws the same map."""
 
-    scans: list[tuple[int, Scan, Array]]
+    scans: list[tuple[int, Scan, Walls]]
     """as `add` has them: row in the trajectory, scan, walls"""
     trajectory: Array
     """(K, 3) present poses of all keyframes"""
@@ -46,8 +46,7 @@ class Mapper:
         self.grid = Grid(config, radius_m)
         """the map as it was drawn last"""
         self._config, self._radius_m = config, radius_m
-        self._tolerance_m = 0.5 * config.cell_m
-        self._scans: list[tuple[Scan, Array]] = []
+        self._scans: list[tuple[Scan, Walls]] = []
         self._mean_ranges: list[float] = []
         """mean range of each scan, m: the lever of its heading"""
         self._trajectory: Callable[[], Array] = lambda: np.zeros((0, 3))
@@ -80,25 +79,24 @@ class Mapper:
         index: int,
         trajectory: Callable[[], Array],
         scan: Scan,
-        walls_robot: Array,
+        walls: Walls,
         standing_robot: Array = _NOTHING,
     ) -> None:
-        """Take the newest keyframe, with the walls (W, 2, 2) fitted to it and the returns (M, 2) of who stands in it.
+        """Take the newest keyframe, with the walls that it shows and the returns (M, 2) of who stands in it.
 
         `index` is its row in what `trajectory` returns, the present estimates (K, 3) of all keyframes' poses, which is
         called when the map is drawn.
         """
         self._standing_robot = standing_robot
         self._rows.append(index)
-        self._scans.append((scan, walls_robot))
+        self._scans.append((scan, walls))
         returned = scan.ranges[scan.ranges < scan.max_range]
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
         self._trajectory = trajectory
 
     def additions(self, since: int) -> Additions:
         """What was added since there were so many keyframes."""
-        rows, scans = self._rows[since:], self._scans[since:]
-        added = [(row, scan, walls) for row, (scan, walls) in zip(rows, scans, strict=True)]
+        added = [(row, *each) for row, each in zip(self._rows[since:], self._scans[since:], strict=True)]
         return Additions(added, self._trajectory(), self._standing_robot)
 
     def take(self, additions: Additions) -> None:
@@ -108,8 +106,7 @@ class Mapper:
 
     def are_free(self, points: Array, within_m: float) -> Bools:
         """(N,) whether the cells within a distance and a cell of points (N, 2), world frame, are seen and free."""
-        grid = self.draw()
-        cell_m = self._config.cell_m
+        grid, cell_m = self.draw(), self._config.cell_m
         around = np.floor(points / cell_m).astype(np.int64)[:, None, ::-1] + disc(within_m / cell_m + 1.0)[None]
         box = box_of(around.reshape(-1, 2))
         is_free = grid.part("seen", box) & ~grid.part("obstacles", box)
@@ -136,7 +133,7 @@ class Mapper:
         if drawn == len(self._rows):
             return self.grid
         poses = self._trajectory()[self._rows]
-        moved = self._shift(poses[:drawn]) > self._tolerance_m
+        moved = self._shift(poses[:drawn]) > 0.5 * self._config.cell_m
         if moved.any():
             self._redraw(moved, poses)
         for k in range(drawn, len(poses)):
@@ -148,8 +145,8 @@ class Mapper:
     def _shift(self, poses: Array) -> Array:
         """(D,) by how much each scan that is drawn shows its surroundings elsewhere from its present pose (D, 3), m."""
         shift = poses - self._drawn_at
-        lever_m = np.array(self._mean_ranges[: len(poses)])
-        return np.asarray(np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * lever_m)
+        turned_m = np.abs(wrap_angle(shift[:, 2])) * np.array(self._mean_ranges[: len(poses)])
+        return np.asarray(np.hypot(shift[:, 0], shift[:, 1]) + turned_m)
 
     def _redraw(self, moved: Bools, poses: Array) -> None:
         """Draw submaps with a moved scan again, and compose the tiles that these touch, or touched, of all submaps.

@@ -61,8 +61,8 @@ class Submap(NamedTuple):
         most = np.floor(rules.passes_per_hit * hits).astype(np.int32)
         shrunk = (self.passes * (hits / np.maximum(self.hits, 1))).astype(np.int32)
         passes = np.where(is_free, np.minimum(self.passes, most + 1), np.minimum(shrunk, most))
-        seen = np.zeros_like(self.seen)
-        return self._replace(hits=hits.astype(np.int32), passes=passes.astype(np.int32), seen=seen)
+        passes, seen = passes.astype(np.int32), np.zeros_like(self.seen)
+        return self._replace(hits=hits.astype(np.int32), passes=passes, seen=seen)
 
 
 @numba.njit(cache=True, error_model="numpy")

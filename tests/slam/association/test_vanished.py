@@ -13,12 +13,13 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import LandmarkPrior, make_estimator
+from sixthsense.slam.mapping.grid import Walls
 from sixthsense.slam.mapping.mapper import Mapper
 
 LASER = LaserConfig()
 ROOM = box(-4, -3, 8, 6)
 DIVIDER = np.array([[[1.0, -1.0], [1.0, 1.0]]])
-NOTHING = np.zeros((0, 2, 2))
+NOTHING = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 WALL, END = 3, 7
 AT = Pose(-1.0, 0.2, 0.1)
 BOTH_SIDES = [AT, Pose(3.0, 0.3, 2.0)]

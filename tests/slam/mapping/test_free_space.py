@@ -13,7 +13,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import EvidenceRules
-from sixthsense.slam.mapping.grid import Grid, disc
+from sixthsense.slam.mapping.grid import Grid, Walls, disc
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.mapping.submap import Submap
@@ -21,7 +21,7 @@ from sixthsense.slam.mapping.submap import Submap
 CELL = 0.07
 CONFIG = GridConfig(cell_m=CELL, clearance_m=0.04)
 LASER = LaserConfig(beams=25, fov=4.4, max_range=2.0, mount=(0.1, -0.05, 0.3))
-NO_WALLS = np.zeros((0, 2, 2))
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 
 
 def looked(rng):

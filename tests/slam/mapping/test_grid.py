@@ -10,9 +10,9 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.mapping.evidence import line_cells
 from sixthsense.slam.mapping.freespace import FreeSpace
-from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.grid import Grid, Walls
 
-NO_WALLS = np.empty((0, 2, 2))
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 ROOM = np.array(
     [
         [[-4.0, -3.0], [5.0, -3.0]],
@@ -62,7 +62,7 @@ class PlainGrid:
     def cell(self, point: Array) -> tuple[int, int]:
         return math.floor(point[1] / self.config.cell_m), math.floor(point[0] / self.config.cell_m)
 
-    def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> None:
+    def add(self, T_world_robot: Pose, scan: Scan, walls: Walls) -> None:
         T_world_laser = T_world_robot @ scan.T_robot_laser
         laser = self.cell(T_world_laser.position)
         hit, crossed = set(), set()
@@ -78,14 +78,19 @@ class PlainGrid:
                 hit.add(end)
                 line = line[:-1]
             crossed.update(line)
-        for a, b in T_world_robot @ walls_robot:
-            hit.update(tuple(map(int, cell)) for cell in line_cells(*self.cell(a), *self.cell(b)))
+        for lines, closes in zip(walls, (True, False), strict=True):
+            for a, b in T_world_robot @ lines:
+                line = [tuple(map(int, cell)) for cell in line_cells(*self.cell(a), *self.cell(b))]
+                hit.update(cell for cell in line if closes or not self.is_free(cell))
         for cell in hit:
             self.hits[cell] = min(self.hits.get(cell, 0) + 1, self.config.max_hits)
             if cell in self.passes:
                 self.passes[cell] = min(self.passes[cell], int(self.config.passes_per_hit * self.hits[cell]))
         for cell in crossed - hit:
             self.passes[cell] = self.passes.get(cell, 0) + 1
+
+    def is_free(self, cell: tuple[int, int]) -> bool:
+        return self.passes.get(cell, 0) > self.config.passes_per_hit * self.hits.get(cell, 0)
 
     @property
     def obstacles(self) -> set[tuple[int, int]]:
@@ -118,9 +123,10 @@ def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
         scan = scan_of_room(pose, max_range=4.0, mount=mount)
         noisy = scan.ranges + rng.normal(0.0, 0.2, 120).astype(np.float32)
         noisy[rng.integers(0, 120, 6)] = [np.nan, np.inf, -np.inf, 0.0, 99.0, 4.0]
-        walls_robot = pose.inverse() @ (ROOM[rng.integers(0, 5, 2)] + rng.normal(0.0, 0.05, (2, 2, 2)))
+        robot = pose.inverse()
+        walls = Walls(*(robot @ (ROOM[rng.integers(0, 5, 2)] + rng.normal(0.0, 0.05, (2, 2, 2))) for _ in range(2)))
         for each in (grid, plain):
-            each.add(pose, replace(scan, ranges=noisy), walls_robot)
+            each.add(pose, replace(scan, ranges=noisy), walls)
     assert cells_by_world(grid, grid.hits) == plain.hits
     assert cells_by_world(grid, grid.passes) == plain.passes
     assert set(cells_by_world(grid, grid.seen)) == plain.seen
@@ -262,19 +268,19 @@ def test_those_who_stand_block_the_ways_around_them_until_they_stand_elsewhere()
 
 @pytest.mark.parametrize("between", [124, 125, 126, 253])
 def test_a_scan_counts_however_many_scans_elsewhere_came_before_it(between: int) -> None:
-    grid, walls = Grid(CONFIG, 0.2), np.zeros((0, 2, 2))
+    grid = Grid(CONFIG, 0.2)
     here, away = Pose(0.33, -0.21, 0.7), Pose(60.3, 41.7, -1.1)
     first = scan_of_room(here, max_range=4.0)
-    box = grid.add(here, first, walls)
+    box = grid.add(here, first, NO_WALLS)
     hits, passes = grid.part("hits", box), grid.part("passes", box)
     for _ in range(between):
-        grid.add(away, first, walls)
-    grid.add(here, first, walls)
+        grid.add(away, first, NO_WALLS)
+    grid.add(here, first, NO_WALLS)
     assert np.array_equal(grid.part("hits", box), 2 * hits) and np.array_equal(grid.part("passes", box), 2 * passes)
 
 
 def test_more_hits_than_a_byte_holds_are_counted() -> None:
     grid, pose = Grid(CONFIG.replaced(max_hits=301), 0.2), Pose(0.33, -0.21, 0.7)
     for _ in range(310):
-        grid.add(pose, scan_of_room(pose, max_range=4.0), np.zeros((0, 2, 2)))
+        grid.add(pose, scan_of_room(pose, max_range=4.0), NO_WALLS)
     assert grid.hits.max() == 301 and grid.passes.max() == 310

@@ -9,13 +9,13 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Tiles
-from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.grid import Grid, Walls
 from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
 from sixthsense.slam.mapping.submap import Submap, add_submap
 
 LASER = LaserConfig(beams=120)
 ROOM = box(-3, -2, 6, 4)
-NO_WALLS = np.zeros((0, 2, 2))
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 CELL_M = GridConfig().cell_m
 
 RULES = EvidenceRules(min_hits=2, max_hits=10, passes_per_hit=4.0)

@@ -8,9 +8,9 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import Box, Changes
 from sixthsense.slam.mapping.evidence import EvidenceRules, Tiles, slot
-from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.grid import Grid, Walls
 
-NO_WALLS = np.zeros((0, 2, 2))
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 
 
 @pytest.mark.parametrize("seed", range(5))
