@@ -132,7 +132,7 @@ def _explored(part: Any) -> tuple[_Watched, bool]:
     exploration.explorer = watched
     for _ in range(_MOST_CHOICES):
         ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
-        grid.add(pose, Scan.from_config(ranges, config.laser), np.zeros((0, 2, 2)))
+        grid.add(pose, Scan.from_config(ranges, config.laser))
         map_.update(grid, Estimate.of_pose(pose, np.zeros((3, 3))))
         chosen = len(watched.targets)
         goal = exploration.next(map_, pose, "looked")

@@ -83,7 +83,7 @@ def test_the_thread_sends_the_map_that_the_run_would_draw_until_it_is_too_large(
     rng, sent, lines, own = np.random.default_rng(4), list[Any](), list[str](), Mapper(CONFIG.grid, 0.2)
     if is_prior:
         earlier = Grid(CONFIG.grid, 0.2)
-        earlier.add(Pose(1.3, 5.2, 0.3), a_scan(rng), np.zeros((0, 2, 2)))
+        earlier.add(Pose(1.3, 5.2, 0.3), a_scan(rng))
         own.start_from(earlier.submap())
     trace: Any = SimpleNamespace(config=CONFIG, radius_m=0.2, key_stamps_ns=[], live=SimpleNamespace(mapper=own))
     trajectory = np.zeros((0, 3))

@@ -48,7 +48,7 @@ class Stage:
     def see(self, pose):
         laser = self.config.laser
         ranges = cast_rays(pose, beam_bearings(laser), self.walls, laser.max_range)
-        self.grid.add(pose, Scan.from_config(ranges, laser), np.zeros((0, 2, 2)))
+        self.grid.add(pose, Scan.from_config(ranges, laser))
 
     def next(self, pose, event="looked", sigma_m=0.0):
         if event == "looked":

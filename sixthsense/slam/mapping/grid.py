@@ -44,6 +44,9 @@ class Walls(NamedTuple):
     """between two returns; they close no cell that beams have shown to be free, such as a door's"""
 
 
+NO_WALLS = Walls(*np.zeros((2, 0, 2, 2)))
+
+
 class Grid:
     """Hit grid and sense grid in one: counts hits and passes per cell, and grows as the robot sees more.
 
@@ -89,7 +92,7 @@ class Grid:
         self._bodies: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
         """(N, 2) cells, row, col from the world's origin, of who stands in the way"""
 
-    def add(self, T_world_robot: Pose, scan: Scan, walls: Walls) -> Box:
+    def add(self, T_world_robot: Pose, scan: Scan, walls: Walls = NO_WALLS) -> Box:
         """Count one scan taken at `T_world_robot`, and the walls that it shows.
 
         Returns the box of the cells that may have changed.

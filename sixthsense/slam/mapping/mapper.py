@@ -13,7 +13,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, box_of
 from sixthsense.slam.mapping.evidence import EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.grid import Grid, Walls, disc
+from sixthsense.slam.mapping.grid import NO_WALLS, Grid, Walls, disc
 from sixthsense.slam.mapping.submap import Submap
 
 _NOTHING = np.zeros((0, 2))
@@ -79,7 +79,7 @@ class Mapper:
         index: int,
         trajectory: Callable[[], Array],
         scan: Scan,
-        walls: Walls,
+        walls: Walls = NO_WALLS,
         standing_robot: Array = _NOTHING,
     ) -> None:
         """Take the newest keyframe, with the walls that it shows and the returns (M, 2) of who stands in it.
@@ -114,8 +114,7 @@ class Mapper:
 
     def complete(self, trajectory: Array) -> None:
         """Draw the map for the last time, at the final poses (K, 3) whoever read it before, and let the scans go."""
-        final = trajectory[self._rows]
-        self._rows = list(range(len(final)))
+        final, self._rows = trajectory[self._rows], list(range(len(self._rows)))
         self._trajectory = lambda: final
         if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
             self.grid.compose(self._base)

@@ -13,13 +13,11 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import LandmarkPrior, make_estimator
-from sixthsense.slam.mapping.grid import Walls
 from sixthsense.slam.mapping.mapper import Mapper
 
 LASER = LaserConfig()
 ROOM = box(-4, -3, 8, 6)
 DIVIDER = np.array([[[1.0, -1.0], [1.0, 1.0]]])
-NOTHING = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 WALL, END = 3, 7
 AT = Pose(-1.0, 0.2, 0.1)
 BOTH_SIDES = [AT, Pose(3.0, 0.3, 2.0)]
@@ -32,11 +30,11 @@ def seen(pose, *segments, noise=0.0):
 def mapped(poses, scans, no_return_passes=True):
     """The map of scans at poses, which begins with the divider."""
     before, mapper = (Mapper(GridConfig(no_return_passes=no_return_passes), 0.2) for _ in range(2))
-    before.add(0, lambda: AT.array()[None], seen(AT, DIVIDER), NOTHING)
+    before.add(0, lambda: AT.array()[None], seen(AT, DIVIDER))
     mapper.start_from(before.draw().submap())
     for k, scan in enumerate(scans):
         rows = np.array([pose.array() for pose in poses[: k + 1]])
-        mapper.add(k, lambda rows=rows: rows, scan, NOTHING)
+        mapper.add(k, lambda rows=rows: rows, scan)
     return mapper
 
 

@@ -13,7 +13,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import TILE, Box, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import EvidenceRules
-from sixthsense.slam.mapping.grid import Grid, Walls, disc
+from sixthsense.slam.mapping.grid import Grid, disc
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.mapping.submap import Submap
@@ -21,14 +21,13 @@ from sixthsense.slam.mapping.submap import Submap
 CELL = 0.07
 CONFIG = GridConfig(cell_m=CELL, clearance_m=0.04)
 LASER = LaserConfig(beams=25, fov=4.4, max_range=2.0, mount=(0.1, -0.05, 0.3))
-NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 
 
 def looked(rng):
     """A grid of some scans with returns at random ranges."""
     grid = Grid(CONFIG, 0.11)
     for _ in range(3):
-        grid.add(Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)), scattered(rng), NO_WALLS)
+        grid.add(Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)), scattered(rng))
     return grid
 
 
@@ -51,7 +50,7 @@ def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
     other = Grid.from_counts(CONFIG, 0.11, grid.origin, grid.hits, grid.passes, grid.seen)
     pose, scan = Pose(0.3, -0.2, 1.1), scattered(rng)
     for one in (grid, other):
-        one.add(pose, scan, NO_WALLS)
+        one.add(pose, scan)
     box = grid.box
     for name in ("hits", "passes", "seen", "obstacles"):
         assert np.array_equal(grid.part(name, box), other.part(name, box))
@@ -71,7 +70,7 @@ def test_old_evidence_is_that_of_three_scans_with_the_same_obstacles_and_free_ce
 def test_places_are_free_if_all_cells_around_them_are_seen_and_none_is_an_obstacle():
     rng = np.random.default_rng(7)
     mapper = Mapper(CONFIG, 0.11)
-    mapper.add(0, lambda: np.array([[0.2, -0.4, 0.8]]), scattered(rng), NO_WALLS)
+    mapper.add(0, lambda: np.array([[0.2, -0.4, 0.8]]), scattered(rng))
     grid, points = mapper.grid, rng.uniform(-0.9, 0.9, (300, 2))
     is_free = mapper.are_free(points, 0.02)
     known = grid.seen & ~grid.obstacles

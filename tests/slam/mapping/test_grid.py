@@ -12,7 +12,6 @@ from sixthsense.slam.mapping.evidence import line_cells
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid, Walls
 
-NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 ROOM = np.array(
     [
         [[-4.0, -3.0], [5.0, -3.0]],
@@ -141,12 +140,12 @@ def test_growth_keeps_what_was_counted() -> None:
     scans = [scan_of(rng.uniform(0.5, 9.0, 60)) for _ in poses]
     growing, roomy = Grid(CONFIG, 0.25), Grid(CONFIG, 0.25)
     for x, y in ((-60.0, -60.0), (60.0, 60.0)):
-        roomy.add(Pose(x, y), scan_of([1.0]), NO_WALLS)
+        roomy.add(Pose(x, y), scan_of([1.0]))
     for pose, scan in zip(poses, scans, strict=True):
-        growing.add(pose, scan, NO_WALLS)
-        roomy.add(pose, scan, NO_WALLS)
+        growing.add(pose, scan)
+        roomy.add(pose, scan)
     for x, y in ((-60.0, -60.0), (60.0, 60.0)):
-        growing.add(Pose(x, y), scan_of([1.0]), NO_WALLS)
+        growing.add(Pose(x, y), scan_of([1.0]))
     for name in ("hits", "passes", "seen", "obstacles"):
         assert cells_by_world(growing, getattr(growing, name)) == cells_by_world(roomy, getattr(roomy, name))
     blocked = cells_by_world(growing, growing.free_space().blocked)
@@ -155,38 +154,38 @@ def test_growth_keeps_what_was_counted() -> None:
 
 def test_a_cleared_grid_equals_a_new_one() -> None:
     used, new = Grid(CONFIG, 0.2), Grid(CONFIG, 0.2)
-    used.add(Pose(3.0, 9.0), scan_of([2.0, 4.0]), NO_WALLS)
+    used.add(Pose(3.0, 9.0), scan_of([2.0, 4.0]))
     used.clear()
     assert used.hits.size == 0 and used.free_space().blocked.size == 0
     for grid in (used, new):
-        grid.add(Pose(0.0, 0.0), scan_of_room(Pose()), NO_WALLS)
+        grid.add(Pose(0.0, 0.0), scan_of_room(Pose()))
     assert used.origin == new.origin and np.array_equal(used.hits, new.hits)
     assert np.array_equal(used.free_space().blocked, new.free_space().blocked)
 
 
 def test_a_snapshot_is_read_only_and_does_not_change_later() -> None:
     grid = Grid(CONFIG, 0.2)
-    grid.add(Pose(), scan_of([2.0]), NO_WALLS)
+    grid.add(Pose(), scan_of([2.0]))
     space = grid.free_space()
     before = space.blocked.copy()
     with pytest.raises(ValueError, match="read-only"):
         space.blocked[0, 0] = True
     grid.hits[:] = 99
     grid.obstacles[:] = True
-    grid.add(Pose(0.0, 0.0, 1.0), scan_of([2.0]), NO_WALLS)
+    grid.add(Pose(0.0, 0.0, 1.0), scan_of([2.0]))
     assert np.array_equal(space.blocked, before) and grid.hits.max() == 1
 
 
 def test_growth_beyond_the_memory_limit_is_refused_and_leaves_the_grid_unchanged() -> None:
     grid = Grid(GridConfig(cell_m=0.01), 0.2)
-    grid.add(Pose(), scan_of([2.0]), NO_WALLS)
+    grid.add(Pose(), scan_of([2.0]))
     before = grid.hits
     with pytest.raises(ValueError, match="allowed: at most 1,000,000,000 cells"):
-        grid.add(Pose(), scan_of([1e6], max_range=1e7), NO_WALLS)
+        grid.add(Pose(), scan_of([1e6], max_range=1e7))
     with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
-        grid.add(Pose(), scan_of([4e4], max_range=1e7), NO_WALLS)
+        grid.add(Pose(), scan_of([4e4], max_range=1e7))
     with pytest.raises(ValueError, match="allowed: at most 1,000,000,000 cells"):
-        grid.add(Pose(1e30, 0.0), scan_of([2.0]), NO_WALLS)
+        grid.add(Pose(1e30, 0.0), scan_of([2.0]))
     with pytest.raises(ValueError, match="allowed: at most"):
         grid.free_space((1e6, 1e6))
     assert np.array_equal(grid.hits, before)
@@ -247,7 +246,7 @@ def test_those_who_stand_block_the_ways_around_them_until_they_stand_elsewhere()
     radius_m, body_m, at = 0.23, 0.17, Pose(0.7, -0.4, 0.6)
     grid, empty = (Grid(CONFIG, radius_m) for _ in range(2))
     for one in (grid, empty):
-        one.add(at, scan_of_room(at), NO_WALLS)
+        one.add(at, scan_of_room(at))
     places = [np.array([[-1.3, 0.4], [0.6, 1.1]]), np.array([[1.2, -0.9]])]
     for standing in places:
         grid.block_bodies(at, standing, body_m)
@@ -271,16 +270,16 @@ def test_a_scan_counts_however_many_scans_elsewhere_came_before_it(between: int)
     grid = Grid(CONFIG, 0.2)
     here, away = Pose(0.33, -0.21, 0.7), Pose(60.3, 41.7, -1.1)
     first = scan_of_room(here, max_range=4.0)
-    box = grid.add(here, first, NO_WALLS)
+    box = grid.add(here, first)
     hits, passes = grid.part("hits", box), grid.part("passes", box)
     for _ in range(between):
-        grid.add(away, first, NO_WALLS)
-    grid.add(here, first, NO_WALLS)
+        grid.add(away, first)
+    grid.add(here, first)
     assert np.array_equal(grid.part("hits", box), 2 * hits) and np.array_equal(grid.part("passes", box), 2 * passes)
 
 
 def test_more_hits_than_a_byte_holds_are_counted() -> None:
     grid, pose = Grid(CONFIG.replaced(max_hits=301), 0.2), Pose(0.33, -0.21, 0.7)
     for _ in range(310):
-        grid.add(pose, scan_of_room(pose, max_range=4.0), NO_WALLS)
+        grid.add(pose, scan_of_room(pose, max_range=4.0))
     assert grid.hits.max() == 301 and grid.passes.max() == 310

@@ -9,13 +9,12 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Tiles
-from sixthsense.slam.mapping.grid import Grid, Walls
+from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
 from sixthsense.slam.mapping.submap import Submap, add_submap
 
 LASER = LaserConfig(beams=120)
 ROOM = box(-3, -2, 6, 4)
-NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
 CELL_M = GridConfig().cell_m
 
 RULES = EvidenceRules(min_hits=2, max_hits=10, passes_per_hit=4.0)
@@ -32,7 +31,7 @@ def poses(count: int) -> np.ndarray:
 def by_hand(trajectory: np.ndarray, scans: list[Scan], config: GridConfig | None = None) -> Grid:
     grid = Grid(config or GridConfig(), 0.2)
     for row, scan in zip(trajectory, scans, strict=True):
-        grid.add(Pose.from_array(row), scan, NO_WALLS)
+        grid.add(Pose.from_array(row), scan)
     return grid
 
 
@@ -43,11 +42,11 @@ def by_hand(trajectory: np.ndarray, scans: list[Scan], config: GridConfig | None
 def test_a_drawn_map_follows_a_key_pose_that_has_moved_by_half_a_cell(shift: list[float], follows: bool) -> None:
     scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
-        mapper.add(k, poses(k + 1).copy, scans[k], NO_WALLS)
+        mapper.add(k, poses(k + 1).copy, scans[k])
         assert mapper.draw().seen.any()
     moved = poses(6)
     moved[2] += shift  # a heading's error moves what was seen, by its lever
-    mapper.add(5, moved.copy, scans[5], NO_WALLS)
+    mapper.add(5, moved.copy, scans[5])
     expected = by_hand(moved if follows else poses(6), scans).occupancy()
     assert not np.array_equal(mapper.grid.occupancy(), expected)  # reading draws nothing
     assert np.array_equal(mapper.draw().occupancy(), expected)
@@ -60,7 +59,7 @@ def test_a_map_that_is_not_drawn_before_the_end_is_drawn_once_at_the_last_poses(
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (drawn.append(pose), add(self, pose, *rest))[1])
     mapper = Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(k, (poses(k + 1) + 0.1 * k).copy, scan, NO_WALLS)
+        mapper.add(k, (poses(k + 1) + 0.1 * k).copy, scan)
     assert drawn == []
     mapper.complete(poses(6) + 0.5)
     assert len(drawn) == 6
@@ -73,7 +72,7 @@ def test_a_map_that_is_not_drawn_before_the_end_is_drawn_once_at_the_last_poses(
 def test_how_often_the_map_is_drawn_does_not_change_it_where_poses_stay(drawn_at: tuple[int, ...]) -> None:
     scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(k, poses(k + 1).copy, scan, NO_WALLS)
+        mapper.add(k, poses(k + 1).copy, scan)
         if k in drawn_at:
             assert mapper.draw().hits.sum() == by_hand(poses(k + 1), scans[: k + 1]).hits.sum()
     expected = by_hand(poses(6), scans)
@@ -87,7 +86,7 @@ def earlier() -> Grid:
     grid = Grid(GridConfig(), 0.2)
     for row in poses(40):
         pose = Pose(-2.0, row[1] - 2.0 if row[1] < 3.0 else 0.0, row[2])
-        grid.add(pose, look(pose, np.concatenate([ROOM, box(0, -1, 0.5, 0.5)]), LASER), NO_WALLS)
+        grid.add(pose, look(pose, np.concatenate([ROOM, box(0, -1, 0.5, 0.5)]), LASER))
     return grid
 
 
@@ -124,20 +123,20 @@ def test_an_earlier_obstacle_that_is_gone_becomes_free_after_a_few_scans() -> No
     mapper, rows = begun(), np.tile([-1.5, -0.73, 0.0], (20, 1))
     assert is_obstacle(mapper.draw(), 0.02, -0.73)
     for k in range(20):
-        mapper.add(k, rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, seen(rows[k]))
     assert not is_obstacle(mapper.draw(), 0.02, -0.73)
 
 
 def test_earlier_evidence_out_of_sight_stays_when_key_poses_move() -> None:
     far = Grid(GridConfig(), 0.2)
-    far.add(Pose(20.02, 0.02, 0.0), Scan.from_config(np.full(LASER.beams, 0.01), LASER), NO_WALLS)
+    far.add(Pose(20.02, 0.02, 0.0), Scan.from_config(np.full(LASER.beams, 0.01), LASER))
     mapper, rows = Mapper(GridConfig(), 0.2), poses(12)
     mapper.start_from(far.submap())
     for k in range(11):
-        mapper.add(k, rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, seen(rows[k]))
         assert is_obstacle(mapper.draw(), 20.02, 0.02)
     moved = rows + np.array([0.1, 0.0, 0.0])
-    mapper.add(11, moved.copy, seen(moved[11]), NO_WALLS)
+    mapper.add(11, moved.copy, seen(moved[11]))
     assert is_obstacle(mapper.draw(), 20.02, 0.02)
     mapper.complete(rows)
     assert is_obstacle(mapper.draw(), 20.02, 0.02)
@@ -203,14 +202,14 @@ def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.Monk
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (added.append(pose), add(self, pose, *rest))[1])
     rows = turning(count + 2)
     for k in range(count):
-        mapper.add(k, rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, seen(rows[k]))
         assert mapper.draw().seen.any()
     assert len(added) == count
     moved = rows.copy()
     for k, (scan, drawn_again) in enumerate(((5, 3), (SCANS_PER_SUBMAP + 1, 1))):
         added.clear()
         moved[scan, 0] += 0.04
-        mapper.add(count + k, moved[: count + 1 + k].copy, seen(moved[count + k]), NO_WALLS)
+        mapper.add(count + k, moved[: count + 1 + k].copy, seen(moved[count + k]))
         assert mapper.draw().seen.any()
         assert len(added) == drawn_again * SCANS_PER_SUBMAP + 5 + k  # with the scans that are in no submap yet
     shift = np.abs(mapper._drawn_at - moved[: len(mapper._drawn_at)])
@@ -250,16 +249,16 @@ def test_submaps_out_of_reach_of_what_moves_are_not_asked_for(monkeypatch: pytes
     rows = np.array([[1.0 * k, 0.0, 0.0] for k in range(count + 2)])
     scan = seen(np.zeros(3))
     for k in range(count):
-        mapper.add(k, rows[: k + 1].copy, scan, NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, scan)
         assert mapper.draw().seen.any()
     moved = rows.copy()
     moved[3, 1] += 0.1
-    mapper.add(count, moved[: count + 1].copy, scan, NO_WALLS)
+    mapper.add(count, moved[: count + 1].copy, scan)
     assert mapper.draw().seen.any()
     assert len(given) == 1 and 1 <= given[0] <= 3
     again = Mapper(GridConfig(), 0.2)
     for k in range(count + 1):
-        again.add(k, moved[: k + 1].copy, scan, NO_WALLS)
+        again.add(k, moved[: k + 1].copy, scan)
         assert again.draw().seen.any()
     for name in ("seen", "obstacles"):
         assert np.array_equal(getattr(mapper.draw(), name), getattr(again.draw(), name))
@@ -270,10 +269,10 @@ def test_nothing_is_left_where_a_submap_was_that_moves_far() -> None:
     rows, scan = poses(count + 1) + np.array([0.3, 0.7, 0.2]), seen(poses(1)[0])
     mapper = Mapper(GridConfig(), 0.23)
     for k in range(count):
-        mapper.add(k, rows[: k + 1].copy, scan, NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, scan)
         assert mapper.draw().seen.any()
     moved = rows + far
-    mapper.add(count, moved.copy, scan, NO_WALLS)
+    mapper.add(count, moved.copy, scan)
     grid = mapper.draw()
     row, col = np.nonzero(grid.seen)
     x, y = grid.origin[0] + CELL_M * col, grid.origin[1] + CELL_M * row

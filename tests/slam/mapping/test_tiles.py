@@ -8,9 +8,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import Box, Changes
 from sixthsense.slam.mapping.evidence import EvidenceRules, Tiles, slot
-from sixthsense.slam.mapping.grid import Grid, Walls
-
-NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2, 2)))
+from sixthsense.slam.mapping.grid import Grid
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -40,9 +38,9 @@ def test_cells_are_found_again_in_an_index_that_grows_to_all_sides_until_they_ar
 def test_two_rooms_far_apart_take_no_memory_between_them() -> None:
     grid = Grid(GridConfig(), 0.2)
     scan = Scan(np.full(90, 3.0, dtype=np.float32), np.float32(-np.pi), np.float32(2.0 * np.pi / 90), 10.0)
-    grid.add(Pose(), scan, NO_WALLS)
+    grid.add(Pose(), scan)
     alone = len(grid.submap().cells)
-    grid.add(Pose(700.0, 900.0), scan, NO_WALLS)
+    grid.add(Pose(700.0, 900.0), scan)
     assert len(grid.submap().cells) == pytest.approx(2 * alone, rel=0.05)
     assert len(grid._tiles.cells.hits) < 20 * alone
     with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
