@@ -20,7 +20,7 @@ from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners import Plan
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import FreeSpace
-from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.grid import Grid, Walls
 
 CONFIG = Config(task="goal")
 NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), CONFIG.laser)
@@ -41,7 +41,7 @@ def empty_grid() -> Grid:
 def add_walls(grid: Grid, walls: object, times: int = 3) -> None:
     """Put walls (W, 2, 2), world frame, into the grid, often enough to outweigh the beams that went through."""
     for _ in range(times):
-        grid.add(Pose(), NOWHERE, np.array(walls, dtype=np.float64))
+        grid.add(Pose(), NOWHERE, Walls(np.array(walls, dtype=np.float64), np.zeros((0, 2, 2))))
 
 
 def steer(navigator: Navigator, grid: Grid, pose: Pose, seconds: float, look_every: int = 10) -> list[Pose]:
