@@ -41,7 +41,7 @@ from sixthsense.simulation.scene import Scene
 from sixthsense.slam.features import Features, extract
 from sixthsense.slam.features.partition import Indices
 from sixthsense.slam.mapping.freespace import FreeSpace
-from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.grid import NO_WALLS, Grid, Walls
 
 _RETURN = "#666666"
 _INFLATED = "#F6CFBF"
@@ -270,7 +270,7 @@ class Recording:
         """The grid after keyframe k, rebuilt from the keyframes up to it."""
         grid = Grid(self.trace.config.grid, self.trace.radius_m)
         for i in range(k + 1):
-            grid.add(self.pose(i), self.scans[i], self.trace.walls_found[i])
+            grid.add(self.pose(i), self.scans[i], Walls(self.trace.walls_found[i], NO_WALLS.gaps))
         return grid
 
     def features(self, k: int) -> Features:

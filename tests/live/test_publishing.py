@@ -35,7 +35,7 @@ from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import DIAGNOSTICS, Messages
 from sixthsense.record.trace import Trace
-from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.grid import Grid, Walls
 from sixthsense.slam.mapping.mapper import Mapper
 
 MAKE = Messages()
@@ -93,7 +93,7 @@ def test_the_thread_sends_the_map_that_the_run_would_draw_until_it_is_too_large(
         for k in range(len(trajectory), count):
             here = Pose(0.4, -0.3, 0.7) @ Pose(0.21 * k, 0.03 * k, 0.17 * k)
             trajectory = np.vstack([trajectory + 0.004 * rng.standard_normal((k, 3)), here.array()])
-            own.add(k, trajectory.copy, a_scan(rng), np.array([[[1.1, 2.2], [3.1, 2.4]]]))
+            own.add(k, trajectory.copy, a_scan(rng), Walls(np.array([[[1.1, 2.2], [3.1, 2.4]]]), np.zeros((0, 2, 2))))
             trace.key_stamps_ns.append(k)
 
     writer: Any = SimpleNamespace(send=lambda data: sent.append(MAKE.store.deserialize_cdr(data, MAP.type)))
