@@ -175,6 +175,10 @@ KINDS: dict[str, Kind] = {
         ),
         needs="{0}",
     ),
+    "lost": Kind(
+        log_runs.lost, ("lost in the map of",), of(("apartment", "office")),
+        (Column("error at the end, m", "error_m max", ".3f", "<= 0.2"),), count=5, first=1000,
+    ),
     "merged": Kind(
         log_runs.merged, ("two runs of",), of(("apartment", "office")), (ATE_MM,), count=5, first=1000,
     ),

@@ -13,7 +13,7 @@ from runs import Figures, Setting, data_path, replay_figures
 import sixthsense as ss
 from sixthsense.config import preset
 from sixthsense.core.covariance import chi_square_quantile
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.se2 import between, compose
 from sixthsense.logs.log import Log, Relations
 from sixthsense.logs.replay_input import ReplayInput, of_log, open_recorded
@@ -108,6 +108,17 @@ def hat(ours: Array, wheels: Array) -> Array:
     a, b, c = ((np.median(np.abs(one), axis=0) / 0.6745) ** 2 for one in (ours, wheels, ours - wheels))
     own = 0.5 * np.array([a + c - b, a + b - c, b + c - a])
     return np.sqrt(np.where(own > 0.0, own, np.nan))
+
+
+def lost(setting: Setting, seed: int) -> Figures:
+    """A robot that begins anywhere in the map of an earlier run of a scene, and is not told where."""
+    with tempfile.TemporaryDirectory() as folder:
+        earlier = Path(folder) / "earlier"
+        fields = {"task": "tour", "max_time": 120.0, "progress": False}
+        ss.run(setting[0], seed=seed + 100, out=earlier, **fields)
+        made = ss.run(setting[0], seed=seed, prior_map=earlier, lost=True, **fields)
+    error = Pose.from_array(made.trace.truths[-1]).inverse() @ Pose.from_array(made.trace.estimates[-1])
+    return {"outcome": made.metrics["outcome"], "error_m": float(np.hypot(error.x, error.y))}
 
 
 def merged(setting: Setting, seed: int) -> Figures:

@@ -54,7 +54,8 @@ def run(
         Folder to write, none by default, which `ss.load` reads; whether to replace an existing one.
     prior_map
         Folder of an earlier run in this building, whose map the run begins with, at `pose` (x, y, theta; by default the
-        start) with the standard deviations `pose_sigma` (by default 0).
+        start) with the standard deviations `pose_sigma` (by default 0). With `lost=True` it does not know where, and
+        drives until it has found out.
     **fields
         Fields of the configuration by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
         `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
@@ -203,7 +204,8 @@ def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorSt
     """The prior map and the start in it, whose fields are taken out of `given`."""
     from sixthsense.record.store import prior_start
 
-    return prior_start(prior_map, given.pop("pose", None), given.pop("pose_sigma", None))
+    pose, sigma, lost = given.pop("pose", None), given.pop("pose_sigma", None), given.pop("lost", False)
+    return prior_start(prior_map, pose, sigma, lost)
 
 
 def _opened(

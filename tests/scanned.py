@@ -47,6 +47,6 @@ def map_of(walls: Array, poses: Iterable[Pose], laser: LaserConfig) -> PriorMap:
     scans = [look(pose, walls, laser, 0.01, 7) for pose in poses]
     for pose, scan in zip(poses, scans, strict=True):
         grid.add(pose, scan)
-    landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)))
+    landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
     known = KeyScans(scans, np.array([pose.array() for pose in poses]))
     return PriorMap("earlier", "", landmarks, {}, grid.submap(), GridConfig().cell_m, known)

@@ -87,6 +87,8 @@ class WithPriorMap(Common):
     """With --prior-map: start in its frame, m and rad. By default the start of the scene or log."""
     pose_sigma: Annotated[tuple[float, float, float] | None, Arg("SX SY ST")] = None
     """With --prior-map: sigmas of that pose, m and rad. 0 by default: known exactly."""
+    lost: bool = False
+    """With --prior-map: the robot does not know where it is. It drives until it has found out."""
 
     def prior_start(self) -> PriorStart | None:
         """The prior map and the start in it, if there is one; InputError for what is not allowed."""
@@ -95,7 +97,7 @@ class WithPriorMap(Common):
         if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
             found = f"{self.config} is of a run with the prior map {note.get('name')}"
             raise InputError("config", found, "with `prior_map`")
-        return prior_start(self.prior_map, self.pose, self.pose_sigma)
+        return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost)
 
 
 def read_command(command: type[Options], parser: Parser, words: Sequence[str]) -> tuple[Options, Table]:

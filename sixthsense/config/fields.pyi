@@ -95,6 +95,7 @@ class RunFields(TypedDict, total=False):
     safety: SafetyConfig | Table
     pose: Sequence[float]
     pose_sigma: Sequence[float]
+    lost: bool
 
 class MergeFields(TypedDict, total=False):
     estimator: PartName
@@ -150,6 +151,7 @@ class ReplayFields(TypedDict, total=False):
     safety: SafetyConfig | Table
     pose: Sequence[float]
     pose_sigma: Sequence[float]
+    lost: bool
 
 class CampaignFields(TypedDict, total=False):
     preset: str | Sequence[str]

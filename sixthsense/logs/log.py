@@ -13,7 +13,7 @@ import numpy as np
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Command, Tick, seconds
+from sixthsense.core.source import Command, Source, Tick, seconds
 from sixthsense.logs.finding import Finding
 from sixthsense.logs.joining import Odometry, Sighting, joined
 from sixthsense.logs.laser_geometry import with_beams
@@ -108,14 +108,15 @@ def described_laser(scans: Sequence[Scan], laser: LaserConfig) -> LaserConfig:
 
 
 class Playback:
-    """A source of recorded ticks."""
+    """A source of recorded ticks, and then of those of another source, if there is one."""
 
-    def __init__(self, ticks: Iterable[Tick]) -> None:
-        self._ticks = iter(ticks)
+    def __init__(self, ticks: Iterable[Tick], then: Source | None = None) -> None:
+        self._ticks, self._then = iter(ticks), then
 
     def step(self, command: Command) -> Tick | None:
-        """The next tick, None at the end; the command is ignored."""
-        return next(self._ticks, None)
+        """The next tick, None at the end; for a recorded one the command is ignored."""
+        tick = next(self._ticks, None)
+        return tick if tick is not None or self._then is None else self._then.step(command)
 
 
 @dataclass(frozen=True, slots=True)

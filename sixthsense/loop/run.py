@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.tree import naming_parts
 from sixthsense.core.geometry import Pose
@@ -24,13 +25,16 @@ from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Live, Stopwatch, Trace
 from sixthsense.simulation.mission import Mission, mission_of
 from sixthsense.simulation.scene import Scene
-from sixthsense.slam.prior_map import PriorStart
+from sixthsense.slam.prior_map import PriorStart, check_usable
 from sixthsense.slam.result import Step
 from sixthsense.slam.slam import Slam
 from sixthsense.verdict.judge import judge
 
 OnTick = Callable[[Tick, Trace], None]
 """Hook of a caller: called after every tick with it and the record so far."""
+
+NOWHERE = "nowhere"
+"""outcome of a search for the start that has driven far enough"""
 
 Watcher = Callable[[Tick, Step, Command], str | None]
 """Called after every tick; an outcome that it returns ends the run."""
@@ -154,11 +158,13 @@ def run(
     """
     if not isinstance(scene, Mission):
         config, scene = mission_of(config, scene)
-    source = scene.world(config)
+    source: Source = scene.world(config)
     scene, start, goals, radius_m, _ = scene
     streams = random_streams(config.seed)
     region = config.region or scene.region
     believed = start if prior is None or prior.pose is None else prior.pose
+    if prior is not None and prior.is_lost:
+        source, prior, believed = find_start(source, config, radius_m, prior, searching_navigator(config, radius_m))
     navigator = make_navigator(config, believed, goals, region, radius_m, streams.planner, streams.exploration)
     pilot = Pilot(navigator, Guard(config, radius_m))
     return recorded_drive(source, start, pilot, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
@@ -179,8 +185,62 @@ def replay(
     scene = recorded_scene(log, config)
     radius_m = config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
+    source: Source = Playback(log.ticks)
+    if prior is not None and prior.is_lost:
+        source, prior, _ = find_start(source, config, radius_m, prior, Navigator())
     pilot = Pilot(Navigator(), Guard(config, radius_m))
-    return recorded_drive(Playback(log.ticks), log.start, pilot, trace, on_tick, prior)
+    return recorded_drive(source, log.start, pilot, trace, on_tick, prior)
+
+
+def find_start(
+    source: Source, config: Config, radius_m: float, prior: PriorStart, navigator: Navigator
+) -> tuple[Source, PriorStart, Pose]:
+    """Drive without the map until the robot's place in it is certain: the source from its begin, and the start.
+
+    Raises InputError if nothing has become certain when the drive ends, at the latest after `config.max_time`.
+    """
+    from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
+
+    check_usable(prior.map, config)
+    relocalizer, start = Relocalizer(prior.map.scans, config), None
+    driven: list[Tick] = []
+
+    def search(tick: Tick, step: Step, command: Command) -> str | None:
+        nonlocal start
+        driven.append(tick)
+        if step.scan is not None:
+            start = relocalizer.take(step.scan, step.pose)
+        return NOWHERE if relocalizer.driven_m > MOST_DRIVEN_M else None if start is None else "located"
+
+    pilot, clock = Pilot(navigator, Guard(config, radius_m)), Stopwatch()
+    drives = navigator.plans_below_margin is not None
+    with (
+        Slam(config, Pose(), radius_m=radius_m, clock=clock.stage, draws_map=drives) as slam,
+        deferred_interrupt() as interrupted,
+    ):
+        watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
+        if config.max_time is not None:
+            watchers.append(deadline(config.max_time, "out of time"))
+        outcome = drive(source, slam, pilot, watchers, clock)
+    if outcome == "interrupted":
+        raise KeyboardInterrupt
+    if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen
+        start = relocalizer.place
+    if start is None:
+        found = f"found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
+        ended = "" if outcome == NOWHERE else f" ({outcome})"
+        raise InputError("lost", f"{found}{ended}", "a map of this building, in which places differ")
+    return Playback(driven, source), prior._replace(pose=start, sigma=FOUND_SIGMA), start
+
+
+def searching_navigator(config: Config, radius_m: float) -> Navigator:
+    """The navigator of a robot that explores, since goals and a region mean nothing to it while it is lost."""
+    from sixthsense.slam.relocalization import MOST_DRIVEN_M
+
+    streams, reach_m = random_streams(config.seed), 2.0 * MOST_DRIVEN_M
+    task = config.replaced(task="explore", goal=None, tour=None)
+    region = (-reach_m, -reach_m, reach_m, reach_m)
+    return make_navigator(task, Pose(), np.zeros((0, 2)), region, radius_m, streams.planner, streams.exploration)
 
 
 def recorded_drive(

@@ -128,20 +128,23 @@ def prior_start(
     folder: Path | str | None,
     pose: Sequence[float] | None,
     sigma: Sequence[float] | None,
+    lost: bool = False,
 ) -> PriorStart | None:
-    """The prior map in `folder` and the start in it, None without a folder.
+    """The prior map in `folder` and the start in it, None without a folder. A robot that is `lost` has no pose.
 
     Raises InputError for a pose or sigmas that are not allowed, and without a folder; InputError as `read_prior_map`.
     """
-    given = [
-        None if value is None else checked(name, tuple[float, float, float], value)
-        for name, value in (("pose", pose), ("pose_sigma", sigma))
-    ]
+    values = {"pose": pose, "pose_sigma": sigma}
+    given = {
+        name: checked(name, tuple[float, float, float], value) for name, value in values.items() if value is not None
+    }
     if folder is None:
-        if given != [None, None]:
-            raise InputError("pose_sigma" if pose is None else "pose", "found without `prior_map`", "with it")
+        for name in ("lost",) if lost else given:
+            raise InputError(name, "found without `prior_map`", "with it")
         return None
-    place, spread = given
+    if lost and given:
+        raise InputError(next(iter(given)), "found with `lost`", "one of both")
+    place, spread = given.get("pose"), given.get("pose_sigma")
     if spread is not None and min(spread) < 0.0:
         raise InputError("pose_sigma", f"found {' '.join(map(str, spread))}", "at least 0")
-    return PriorStart(read_prior_map(folder), Pose(*place) if place else None, spread or (0.0, 0.0, 0.0))
+    return PriorStart(read_prior_map(folder), Pose(*place) if place else None, spread or (0.0, 0.0, 0.0), lost)

@@ -68,9 +68,13 @@ class PriorStart(NamedTuple):
     """`T_world_robot`; None: where the scene or the log says"""
     sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """of x, y and theta, m and rad; 0: known"""
+    is_lost: bool = False
+    """whether the pose is unknown, and has to be found by driving"""
 
     def note(self) -> dict[str, Any]:
         """What a run's record says of it; a pose only where it was given."""
+        if self.is_lost:
+            return {"name": self.map.name, "digest": self.map.digest, "lost": True}
         given = {} if self.pose is None else {"pose": self.pose.array().tolist()}
         return {"name": self.map.name, "digest": self.map.digest, **given, "pose_sigma": list(self.sigma)}
 

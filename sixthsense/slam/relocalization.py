@@ -34,6 +34,11 @@ _LEAST_SHARE = 0.5  # of the returns that the earlier scans can judge
 _MOST_SQUARE = 21.1  # of a first pose: 0.9999 of chi-square with 3 degrees of freedom
 _PARTNERS = 3  # earlier scans that the first scan is aligned with
 
+FOUND_SIGMA = (0.1, 0.1, 0.05)
+"""of a start that was found, m and rad; the first scan makes it precise"""
+MOST_DRIVEN_M = 40.0
+"""without a place, the robot is taken to be elsewhere"""
+
 
 class SoughtScans(PlacedScans):
     """Key scans of an earlier run, in its frame, and behind them those of a robot, in a frame of its own."""

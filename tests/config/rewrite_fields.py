@@ -13,7 +13,7 @@ from sixthsense.config.section import kind_of
 
 FILE = Path(__file__).parents[2] / "sixthsense" / "config" / "fields.pyi"
 PARTS = [parts.kind for parts in KINDS]
-PRIOR_MAP = {"pose": "Sequence[float]", "pose_sigma": "Sequence[float]"}
+PRIOR_MAP = {"pose": "Sequence[float]", "pose_sigma": "Sequence[float]", "lost": "bool"}
 HEAD = '''\
 """The fields that `ss.run` and its kin take by name; written by tests/config/rewrite_fields.py."""
 # ruff: noqa: F403, F405

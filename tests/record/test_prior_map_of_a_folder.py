@@ -112,19 +112,23 @@ def test_a_folder_without_a_part_of_the_map_is_refused(folder: Path, tmp_path: P
 def test_a_start_in_a_map_has_its_pose_and_sigmas_and_is_noted(folder: Path) -> None:
     start = prior_start(folder, (1.5, -2.5, 0.7), (0.3, 0.2, 0.1))
     assert start is not None and (start.pose, start.sigma) == (Pose(1.5, -2.5, 0.7), (0.3, 0.2, 0.1))
-    assert start.note()["pose"] == [1.5, -2.5, 0.7]
-    plain = prior_start(folder, None, None)
-    assert plain is not None and (plain.pose, plain.sigma) == (None, (0.0, 0.0, 0.0))
+    assert not start.is_lost and start.note()["pose"] == [1.5, -2.5, 0.7]
+    plain, lost = prior_start(folder, None, None), prior_start(folder, None, None, lost=True)
+    assert plain is not None and (plain.pose, plain.sigma, plain.is_lost) == (None, (0.0, 0.0, 0.0), False)
+    assert lost is not None and lost.is_lost and lost.note()["lost"] is True
     assert prior_start(None, None, None) is None
 
 
-@pytest.mark.parametrize(("has_map", "pose", "sigma", "said"), [
-    (False, (1.0, 2.0, 3.0), None, "^pose: found without `prior_map`"),
-    (False, None, (1.0, 2.0, 3.0), "^pose_sigma: found without `prior_map`"),
-    (True, (1.0, 2.0), None, r"^pose: found \(1.0, 2.0\), allowed: 3 numbers"),
-    (True, None, (1.0, 2.0, np.inf), "^pose_sigma: found inf, allowed: a finite number"),
-    (True, None, (0.1, -0.2, 0.3), "^pose_sigma: .* allowed: at least 0"),
+@pytest.mark.parametrize(("has_map", "pose", "sigma", "lost", "said"), [
+    (False, (1.0, 2.0, 3.0), None, False, "^pose: found without `prior_map`"),
+    (False, None, (1.0, 2.0, 3.0), False, "^pose_sigma: found without `prior_map`"),
+    (False, None, None, True, "^lost: found without `prior_map`"),
+    (True, (1.0, 2.0), None, False, r"^pose: found \(1.0, 2.0\), allowed: 3 numbers"),
+    (True, None, (1.0, 2.0, np.inf), False, "^pose_sigma: found inf, allowed: a finite number"),
+    (True, None, (0.1, -0.2, 0.3), False, "^pose_sigma: .* allowed: at least 0"),
+    (True, (1.0, 2.0, 3.0), None, True, "^pose: found with `lost`"),
+    (True, None, (0.1, 0.2, 0.3), True, "^pose_sigma: found with `lost`"),
 ])  # fmt: skip
-def test_a_start_that_says_nothing_or_contradicts_itself_is_refused(has_map, pose, sigma, said, folder) -> None:
+def test_a_start_that_says_nothing_or_contradicts_itself_is_refused(has_map, pose, sigma, lost, said, folder) -> None:
     with pytest.raises(InputError, match=said):
-        prior_start(folder if has_map else None, pose, sigma)
+        prior_start(folder if has_map else None, pose, sigma, lost)

@@ -1,5 +1,6 @@
 """Where in a prior map a robot is that does not know where it began."""
 
+import dataclasses
 import itertools
 import math
 
@@ -7,8 +8,16 @@ import numpy as np
 import pytest
 from scanned import box, look, map_of, outline
 
-from sixthsense.config import Config, GridConfig, LaserConfig, ScansConfig
+from sixthsense.config import Config, GridConfig, LaserConfig, ScansConfig, preset
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.source import Command, Tick
+from sixthsense.logs.log import Playback
+from sixthsense.loop import run as loop
+from sixthsense.record.folder import RunFolder
+from sixthsense.record.store import read_prior_map
+from sixthsense.simulation.scene import load_scene
+from sixthsense.slam.prior_map import PriorStart
 from sixthsense.slam.relocalization import Relocalizer
 
 LASER, GRID = LaserConfig(max_range=6.0), GridConfig()
@@ -76,3 +85,60 @@ def test_once_the_corridor_tells_the_rooms_apart_the_place_is_found(room):
 def test_in_another_building_nothing_is_found():
     other = np.concatenate([outline((0, 0), (9, -2), (12, 6), (3, 9)), box(4, 3, 1.5, 1.5)])
     assert search(along((1.5, 1.5), (6, 1), (9, 3), (6.5, 6), (3.5, 6), (2, 2)), other) is None
+
+
+class Numbers:
+    """A source that counts to five."""
+
+    def __init__(self):
+        self.count = 0
+
+    def step(self, command):
+        self.count += 1
+        return Tick(self.count, Pose()) if self.count <= 5 else None
+
+
+def test_the_ticks_so_far_come_once_more_and_then_the_others():
+    numbers, command = Numbers(), Command()
+    source = Playback([numbers.step(command) for _ in range(3)], numbers)
+    assert [source.step(command).stamp_ns for _ in range(5)] == [1, 2, 3, 4, 5]
+    assert source.step(command) is None
+
+
+LOPSIDED = outline((0, 0), (5, 0), (5, 4), (3, 4), (3, 3), (0, 3))
+
+
+def scene_of(walls, start):
+    tour = ((4.2, 0.8), (4.2, 3.2), (2.6, 2.4), (0.8, 2.2), (0.8, 0.8))
+    base = load_scene("rectangle")
+    return dataclasses.replace(base, walls=walls, start=start, tour=tour, region=(0.0, 0.0, 5.0, 4.0))
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """The map of a tour of the lopsided room."""
+    from sixthsense.evaluation.measure import measure
+
+    config = preset(scene="rectangle", task="tour", max_time=20.0, seed=1)
+    folder = RunFolder(tmp_path_factory.mktemp("runs") / "first", config)
+    trace = loop.run(config, folder.record, scene_of(LOPSIDED, Pose(0.8, 0.8, 0.3)))
+    folder.write(trace, measure(trace))
+    folder.finish()
+    return read_prior_map(folder.out)
+
+
+def test_a_lost_robot_finds_its_place_and_drives_its_task_and_so_does_the_replay_of_its_log(first):
+    config = preset(scene="rectangle", task="tour", max_time=25.0, seed=2)
+    trace = loop.run(config, scene=scene_of(LOPSIDED, Pose(3.5, 2.0, -2.0)), prior=PriorStart(first, is_lost=True))
+    errors = np.array([p[:2] for p in trace.estimates]) - np.array([p[:2] for p in trace.truths])
+    assert trace.outcome == "tour ended"
+    assert np.hypot(*errors.T).max() < 0.1
+    assert trace.prior_map == {"name": "first", "digest": first.digest, "lost": True}
+
+
+def test_a_lost_robot_in_another_building_ends_in_one_line(first):
+    other = np.concatenate([outline((-3, -3), (9, -3), (9, 7.5), (-3, 7.5)), box(2, 2, 2, 1)])
+    scene = dataclasses.replace(scene_of(other, Pose()), region=(-3.0, -3.0, 9.0, 7.5), tour=((4.2, 0.8), (0.8, 0.8)))
+    config = preset(scene="rectangle", task="tour", max_time=10.0, seed=2)
+    with pytest.raises(InputError, match=r"^lost: found no place of first that alone fits what was seen on \d+ m"):
+        loop.run(config, scene=scene, prior=PriorStart(first, is_lost=True))
