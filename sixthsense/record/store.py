@@ -21,6 +21,7 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.prior_map import KeyScans, PriorMap, PriorStart
+from sixthsense.verdict.verdict import Verdict
 
 END = "the run's end: outcome, counts, clocks, final trajectory and landmarks"
 """missing from a run that was stopped; each keyframe keeps the pose estimated at its time"""
@@ -68,6 +69,12 @@ def load_record(folder: Path | str) -> Loaded:
         }
         read_end(trace, table, arrays)
     return Loaded(trace, () if trace.grid is not None else (GRID,), table["metrics"])
+
+
+def read_verdict(folder: Path) -> Verdict | None:
+    """The verdict on the run in a folder; None where the record has no end. InputError for a damaged record."""
+    messages, _ = read_messages(folder / FILE)
+    return load_record(folder).trace.verdict if any(one.channel == "end" for one in messages) else None
 
 
 def _read_stream(trace: Trace, channels: Mapping[str, list[Message]]) -> None:

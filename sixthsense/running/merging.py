@@ -18,7 +18,7 @@ from sixthsense.figures.run import Run
 from sixthsense.logs.log import Log
 from sixthsense.logs.replay_input import ReplayInput, open_recorded
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.store import load_record
+from sixthsense.record.store import read_verdict
 from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.prior_map import KeyScans
 from sixthsense.slam.relocalization import Relocalizer
@@ -43,7 +43,7 @@ def open_merged(first: Path, second: Path, config: Config) -> Merged:
     Scans are aligned, whatever front end and estimator it names. Raises InputError for a run whose own map is broken.
     """
     for run in (first, second):
-        verdict = load_record(run).trace.verdict
+        verdict = read_verdict(run)
         if verdict is not None and verdict.level == "broken":
             raise InputError(run, f"found a map that is {verdict}", "one that is good")
     settings = config, load_config(second / "config.toml")

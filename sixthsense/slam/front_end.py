@@ -100,6 +100,8 @@ class Finished(NamedTuple):
     """(S, 3) motion from the last keyframe to each scan, if that is known better now than when the scan was taken"""
     links: PoseLinks | None = None
     """between keyframes, as the estimator has them; None for a front end that makes none"""
+    loop_closures: LoopClosureCounts | None = None
+    """what the search for old places has come to; None for a front end that does not search"""
 
 
 class FrontEndSetup(NamedTuple):

@@ -161,4 +161,4 @@ def test_a_laser_from_right_to_left_is_said_once_and_one_that_is_right_never():
     later_s = 1e-9 * LOOK_NS + 1.0
     assert said_by(mirrored(), later_s - 2.0) == [] == said_by(ticks(), later_s + 9.0)
     (line,) = said_by(mirrored(), later_s + 9.0)
-    assert "scans turn the other way round" in line
+    assert "scans turn against the odometry" in line

@@ -3,8 +3,8 @@
 The reciprocal of the range to a straight wall is cos(bearing - normal) / distance. So three returns are of one wall if
 the middle one's reciprocal is what this gives for its two neighbours. Of a wall at a grazing angle returns are farther
 apart than the cells of a map, and what lies between them would count as unseen. A gap through which no robot fits is
-closed. Along the beams it may be longer: there a gap of a robot's radius across them is several robots long, and a
-robot that looks along a wall would drive up to each of its gaps. A gap that is a door opens when beams pass through it.
+closed. Along the beams it may be longer, if the wall goes on at both ends: there a gap of a robot's radius across them
+is several robots long, and a robot that looks along a wall would drive up to each of its gaps.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sixthsense.core.covariance import SIGNIFICANT
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 
-_ALONG = 6.0
+_ALONG = 12.0
 """radii of the robot: a longer gap stays open, however narrow it is across the beams"""
 
 
@@ -44,6 +44,7 @@ def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, radius_m: fl
     gaps = np.stack([points, np.roll(points, -1, axis=0)], axis=1)
     length = np.linalg.norm(gaps[:, 1] - gaps[:, 0], axis=1)
     across = np.fmin(ranges, np.roll(ranges, -1)) * np.sin(after)
-    longest = np.where(across < radius_m, _ALONG * radius_m, 2.0 * radius_m)
+    is_certain = is_straight & np.roll(is_straight, -1) & (across < radius_m)
+    longest = np.where(is_certain, _ALONG * radius_m, 2.0 * radius_m)
     is_gap = (is_straight | np.roll(is_straight, -1)) & (after < math.pi) & (shortest_m < length) & (length < longest)
     return np.asarray(scan.T_robot_laser @ gaps[is_gap])

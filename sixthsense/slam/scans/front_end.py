@@ -134,13 +134,15 @@ class ScanFrontEnd:
         return Keyframe(key, motion, predicted, estimate, loop_closures=self.counts)
 
     def finish(self) -> Finished:
-        """Predict up to the last tick, and align the scans between keyframes once more."""
+        """Look for a loop closure, predict up to the last tick, and align the scans between keyframes once more."""
+        if self.counts is not None and self._store.count:
+            self.loop_closures.look_at_end()
         motion = self._for_estimator()
         key = self._reported(self._estimator.estimate())
         self._estimator.predict(motion)
         estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=propagated(key.pose, key.pose_cov, motion))
         since_key = refined(self._graph, self._scans, self._mount) if self._has_final_pass else None
-        return Finished(estimate, since_key, self._graph.robot_links(self._graph.links))
+        return Finished(estimate, since_key, self._graph.robot_links(self._graph.links), self.counts)
 
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
         """(m, 3, 3) covariance of the motion from each first keyframe to the second.

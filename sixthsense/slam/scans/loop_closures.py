@@ -3,8 +3,8 @@
 How uncertain the newest keyframe is relative to an old one, along the graph, decides what is done. One that is certain
 is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass, for all places that look
 alike. One is believed if the scans of the last metres fit it clearly better than any other, and if another vote some
-metres later, by other scans, agrees. Until then the robot drives on. A loop closure that later ones contradict is taken
-back.
+metres later, by other scans, agrees. Until then the robot drives on. At the end of a log no vote follows: there the
+last scans alone are searched for, and all of them must align. A loop closure that later ones contradict is taken back.
 """
 
 from __future__ import annotations
@@ -21,12 +21,21 @@ from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, ScanGraph, overlapping
 from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
-from sixthsense.slam.scans.place_search import NEW_M, ExpectedPoses, PlaceQuery, PlaceSearch, Votes, best_place
+from sixthsense.slam.scans.place_search import (
+    NEW_M,
+    ExpectedPoses,
+    Hypothesis,
+    PlaceQuery,
+    PlaceSearch,
+    Votes,
+    best_place,
+)
 from sixthsense.slam.thinning import OLD_AGE, Thinning
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
+_LAST = 3  # scans that are searched for at the end
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 
 
@@ -87,38 +96,54 @@ class LoopClosures:
             closing = graph.links["ends"][graph.links["closes"]].ravel()
             graph.take_out(np.setdiff1d(leaving, closing).tolist())
 
-    def _look_around(self, key: int) -> None:
-        graph = self._graph
-        old = np.flatnonzero(graph.is_kept[: max(graph.first, key - OLD_AGE)])
-        if not len(old):
-            return
-        sigma_m, sigma_rad = graph.sigmas(key)
-        is_certain = (sigma_m[old] < _CERTAIN_M) & (sigma_rad[old] < _CERTAIN_RAD)
-        certain = overlapping(graph, key, graph.poses[key], old[is_certain])[:LINKS]
-        graph.link(key, np.setdiff1d(certain, graph.linked_old(key, key)), self.latest)
-        if graph.travelled_m[key] >= self._search_from_m:
-            self._search_uncertain(key, old[~is_certain], sigma_m, sigma_rad)
+    def look_at_end(self) -> None:
+        """Look for a loop closure with the last scans alone, which are all that the place where a log ends has."""
+        key = self._graph.count - 1
+        _, uncertain, sigmas = self._old(key)
+        found = self._best_place(key, uncertain, sigmas, _LAST)
+        if found is not None and not found.is_ambiguous:
+            links = [each for each in found.evidence.links if len(each.targets)]
+            if len(links) == _LAST:
+                self.close(Alignments.joined(links))
 
-    def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:
+    def _look_around(self, key: int) -> None:
+        graph, (certain, uncertain, sigmas) = self._graph, self._old(key)
+        near = overlapping(graph, key, graph.poses[key], certain)[:LINKS]
+        graph.link(key, np.setdiff1d(near, graph.linked_old(key, key)), self.latest)
+        if graph.travelled_m[key] < self._search_from_m:
+            return
+        found = self._best_place(key, uncertain, sigmas)
+        if found is None:
+            return
+        if found.is_ambiguous:
+            self._refused += 1
+            self._search_from_m = float(graph.travelled_m[key]) + NEW_M
+        elif agreeing := self._votes.agreeing(key, found.evidence):
+            links = Alignments.joined([vote.links for vote in agreeing])
+            _, first = np.unique(np.column_stack([links.targets, links.sources]), axis=0, return_index=True)
+            self.close(links.rows(np.sort(first)))  # each pair once
+
+    def _old(self, key: int) -> tuple[NDArray[np.int64], NDArray[np.int64], tuple[Array, Array]]:
+        """Old keyframes relative to which one is certain, and uncertain; and its sigmas relative to all."""
+        old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - OLD_AGE, 0)])
+        sigma_m, sigma_rad = self._graph.sigmas(key)
+        is_certain = (sigma_m[old] < _CERTAIN_M) & (sigma_rad[old] < _CERTAIN_RAD)
+        return old[is_certain], old[~is_certain], (sigma_m, sigma_rad)
+
+    def _best_place(
+        self, key: int, old: NDArray[np.int64], sigmas: tuple[Array, Array], last: int = 0
+    ) -> Hypothesis | None:
+        """The best place of a keyframe among old ones, by the scans of the last metres or by the `last` ones alone."""
         graph, travelled_m = self._graph, self._graph.travelled_m
         # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
         # Certain by travel alone are those that overlap the placed scans themselves: they agree with any place.
         passed = graph.is_kept & (travelled_m[key] - travelled_m > BACK_M + REACH_M)
         self._places.seek(old, np.union1d(old, np.flatnonzero(passed)))
         keys = self._places.keys
-        off = between(graph.poses[keys], graph.poses[key]).reshape(-1, 3)
-        expected = ExpectedPoses(off, sigma_m[keys], sigma_rad[keys])
-        found = best_place(PlaceQuery(graph, key, self._places, expected, self._min_score), self._search)
-        if found is None:
-            return
-        if found.is_ambiguous:
-            self._refused += 1
-            self._search_from_m = float(travelled_m[key]) + NEW_M
-            return
-        if agreeing := self._votes.agreeing(key, found.evidence):
-            links = Alignments.joined([vote.links for vote in agreeing])
-            _, first = np.unique(np.column_stack([links.targets, links.sources]), axis=0, return_index=True)
-            self.close(links.rows(np.sort(first)))  # each pair once
+        if not len(keys):
+            return None
+        expected = ExpectedPoses(between(graph.poses[keys], graph.poses[key]), sigmas[0][keys], sigmas[1][keys])
+        return best_place(PlaceQuery(graph, key, self._places, expected, self._min_score, last), self._search)
 
     def close(self, links: Alignments) -> None:
         """Close a loop with the links of a place.

@@ -104,6 +104,8 @@ class PlaceQuery(NamedTuple):
     """where the scan is by the track, in the frame of each place"""
     min_score: float
     """least share of the points, of those in which scans usually agree, that a place must explain"""
+    last: int = 0
+    """scans, the newest ones, that are searched for and judged alone; 0: those of the last metres"""
 
 
 class PlaceSearch(Protocol):
@@ -128,8 +130,8 @@ class BranchAndBound:
 
     def propose(self, query: PlaceQuery, least_points: int = LEAST_POINTS) -> Sequence[Candidate]:
         """Propose places that explain enough of what was seen, of at least so many points."""
-        scans, key, places, expected, min_score = query
-        keys = of_last_metres(scans.travelled_m, key)
+        scans, key, places, expected, min_score, last = query
+        keys = of_last_metres(scans.travelled_m, key)[-last:]
         near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
         if len(near) < least_points:
             return []
@@ -233,7 +235,9 @@ def best_place(query: PlaceQuery, search: PlaceSearch) -> Hypothesis | None:
             check_returned("place_search", "propose", one, Candidate, pose=(3,))
     if not candidates:
         return None
-    return judged(query.scans, followed_back(query.scans.travelled_m, query.key), candidates)
+    travelled_m, key, last = query.scans.travelled_m, query.key, query.last
+    keys = of_last_metres(travelled_m, key)[: -last - 1 : -1] if last else followed_back(travelled_m, key)
+    return judged(query.scans, keys, candidates)
 
 
 def judged(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequence[Candidate]) -> Hypothesis:

@@ -132,8 +132,18 @@ def test_a_return_is_of_one_wall_with_its_neighbours_within_three_sigmas(sigmas,
         if count:
             noise = LaserNoise(range_m=sigmas[0], bearing_rad=sigmas[1])
             length = [math.dist(*pair) for pair in itertools.pairwise(ends)]
-            across = [min(pair) * math.sin(spacing) for pair in itertools.pairwise(seen.astype(np.float32))]
             assert len(straight_gaps(scan, noise, max(length) - 1e-6, 2.0)) == 1
             for radius in np.linspace(0.02, 0.6, 30):
-                closed_gaps = [m < (6.0 if a < radius else 2.0) * radius for m, a in zip(length, across, strict=True)]
-                assert len(straight_gaps(scan, noise, 0.01, radius)) == sum(closed_gaps)
+                assert len(straight_gaps(scan, noise, 0.01, radius)) == sum(m < 2.0 * radius for m in length)
+
+
+def test_a_long_gap_along_the_beams_is_closed_where_the_wall_goes_on_at_both_ends() -> None:
+    bearings = 0.02 * np.arange(6)
+    ranges = (0.5 / np.sin(0.3 - bearings)).astype(np.float32)  # a wall half a metre beside, ahead from 1.7 to 2.5 m
+    noise, radius = LaserNoise(range_m=0.01, bearing_rad=0.0), 0.06
+    points = ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    length, across = np.linalg.norm(np.diff(points, axis=0), axis=1), ranges[:-1] * math.sin(0.02)
+    assert (length > 2.0 * radius).all() and (across < radius).all()
+    scan = Scan(ranges, np.float32(0.0), np.float32(0.02), 9.0)
+    np.testing.assert_allclose(straight_gaps(scan, noise, 0.01, radius)[:, 0], points[1:4], atol=1e-5)
+    assert not len(straight_gaps(scan, noise, 0.01, float(across.min())))
