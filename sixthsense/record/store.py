@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import load_config, prior_map_of
 from sixthsense.config.errors import InputError
@@ -51,9 +52,7 @@ def load_record(folder: Path | str) -> Loaded:
     messages, _ = read_messages(file)
     with readable(file):
         trace = Trace(config, **read_fields(messages[0].value["fields"]))
-        channels: dict[str, list[Message]] = {}
-        for message in messages:
-            channels.setdefault(message.channel, []).append(message)
+        channels = _by_channel(messages)
         _read_stream(trace, channels)
         scans = {tick.stamp_ns: tick.scan for tick in ticks_of(messages, Pose(*config.laser.mount))}
         trace.key_scans = [scans.get(stamp_ns) for stamp_ns in trace.key_stamps_ns]
@@ -62,19 +61,36 @@ def load_record(folder: Path | str) -> Loaded:
         if "end" not in channels:
             return Loaded(_stopped(trace), (END, GRID), None)
         table = channels["end"][0].value
-        arrays = {
-            name: np.concatenate([one.value for one in found])
-            for name, found in channels.items()
-            if name.startswith("array.")
-        }
-        read_end(trace, table, arrays)
+        read_end(trace, table, _arrays(channels))
     return Loaded(trace, () if trace.grid is not None else (GRID,), table["metrics"])
 
 
 def read_verdict(folder: Path) -> Verdict | None:
     """The verdict on the run in a folder; None where the record has no end. InputError for a damaged record."""
     messages, _ = read_messages(folder / FILE)
-    return load_record(folder).trace.verdict if any(one.channel == "end" for one in messages) else None
+    with readable(folder / FILE):
+        channels = _by_channel(messages)
+        if "end" not in channels:
+            return None
+        fields = channels["end"][0].value["fields"]
+        verdict: Verdict | None = read_fields({"verdict": fields["verdict"]}, _arrays(channels))["verdict"]
+        return verdict
+
+
+def _by_channel(messages: Sequence[Message]) -> dict[str, list[Message]]:
+    channels: dict[str, list[Message]] = {}
+    for message in messages:
+        channels.setdefault(message.channel, []).append(message)
+    return channels
+
+
+def _arrays(channels: Mapping[str, Sequence[Message]]) -> dict[str, NDArray[Any]]:
+    """The large arrays of a run's end."""
+    return {
+        name: np.concatenate([one.value for one in found])
+        for name, found in channels.items()
+        if name.startswith("array.")
+    }
 
 
 def _read_stream(trace: Trace, channels: Mapping[str, list[Message]]) -> None:

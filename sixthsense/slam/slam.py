@@ -30,7 +30,7 @@ from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, FrontEndSetup, Keyframe, LoopClosureCounts, untimed
-from sixthsense.slam.mapping.grid import Grid, Walls
+from sixthsense.slam.mapping.grid import NO_WALLS, Grid, Walls
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.motion_source import make_motion
@@ -299,8 +299,10 @@ class Slam:
             check_returned(name, "joint_covariance", joint, np.ndarray, itself=(3 + 2 * n, 3 + 2 * n))
 
     def _add_to_map(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
-        gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, self._radius_m)
-        walls = Walls(keyframe.features.walls, gaps)
+        walls = NO_WALLS
+        if self.config.grid.walls:
+            gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, self._radius_m)
+            walls = Walls(keyframe.features.walls, gaps)
         self._mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
         if self._draws_map:
             self._mapper.draw()

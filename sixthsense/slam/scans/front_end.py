@@ -135,7 +135,7 @@ class ScanFrontEnd:
 
     def finish(self) -> Finished:
         """Look for a loop closure, predict up to the last tick, and align the scans between keyframes once more."""
-        if self.counts is not None and self._store.count:
+        if self._config.scans.loop_closures and self._store.count:
             self.loop_closures.look_at_end()
         motion = self._for_estimator()
         key = self._reported(self._estimator.estimate())

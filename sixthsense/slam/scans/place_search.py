@@ -107,6 +107,11 @@ class PlaceQuery(NamedTuple):
     last: int = 0
     """scans, the newest ones, that are searched for and judged alone; 0: those of the last metres"""
 
+    @property
+    def searched(self) -> NDArray[np.int64]:
+        """Rows of the scans that are searched for."""
+        return of_last_metres(self.scans.travelled_m, self.key)[-self.last :]
+
 
 class PlaceSearch(Protocol):
     """Proposes where the newest scan may be among what is known: among earlier passes, and where a robot is lost.
@@ -130,8 +135,8 @@ class BranchAndBound:
 
     def propose(self, query: PlaceQuery, least_points: int = LEAST_POINTS) -> Sequence[Candidate]:
         """Propose places that explain enough of what was seen, of at least so many points."""
-        scans, key, places, expected, min_score, last = query
-        keys = of_last_metres(scans.travelled_m, key)[-last:]
+        scans, key, places, expected, min_score, _ = query
+        keys = query.searched
         near, range_m = surfaces_around(scans, keys, between(scans.poses[key], scans.poses[keys]))
         if len(near) < least_points:
             return []
@@ -235,8 +240,7 @@ def best_place(query: PlaceQuery, search: PlaceSearch) -> Hypothesis | None:
             check_returned("place_search", "propose", one, Candidate, pose=(3,))
     if not candidates:
         return None
-    travelled_m, key, last = query.scans.travelled_m, query.key, query.last
-    keys = of_last_metres(travelled_m, key)[: -last - 1 : -1] if last else followed_back(travelled_m, key)
+    keys = query.searched[::-1] if query.last else followed_back(query.scans.travelled_m, query.key)
     return judged(query.scans, keys, candidates)
 
 

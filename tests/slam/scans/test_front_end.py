@@ -57,6 +57,19 @@ def test_two_loops_with_bad_wheels_close():
     assert np.mean([k in links for k in second_lap]) > 0.7
 
 
+def test_a_loop_that_a_log_ends_in_is_closed_at_its_end():
+    laser = {"beams": 181, "fov": np.pi, "max_range": 6.0}
+    poses = drive(Pose(-9.0, -6.0, 0.0), [*CORNERS[:3], (-9.0, -5.0)])
+    poses += drive(poses[-1], [(-8.4, -6.0)])[1:6]  # it looks along its first metres for half a second
+    wheels = {"scale": 1.08, "drift": 0.04, "laser": LaserConfig(**laser)}
+    _, result, causal, last_key = run(merge(CONFIG, {"laser": laser}), poses, RING, **wheels)
+    end = poses[int(np.argmax(last_key))].array()
+    off_before = causal[np.argmax(last_key)] - end
+    off = result.trajectory[-1] - end
+    assert result.loop_closures.found == 1 and result.loop_closures.undone == 0
+    assert np.hypot(*off_before[:2]) > 0.15 and np.hypot(*off[:2]) < 0.05 and abs(wrap_angle(off[2])) < 0.02
+
+
 def test_without_loop_closures_no_old_scan_is_linked():
     config = merge(CONFIG, {"scans": {"loop_closures": False, "final_pass": False}})
     slam, result, *_ = run(config, drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1), (0, 1)]), ROOM)
