@@ -6,10 +6,13 @@ import math
 import numpy as np
 import pytest
 from auditing.test_laws import Drawn, drawn, squared
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.auditing.statistics import Findings
+from sixthsense.auditing.pairing import Errors
+from sixthsense.auditing.poses import turned
+from sixthsense.auditing.statistics import Findings, heading_dependence, is_other_frame
 from sixthsense.evaluation.consistency import (
     Consistency,
     effective_number,
@@ -186,3 +189,25 @@ def test_poses_before_the_truth_in_its_gaps_and_without_rank_are_left_out_and_co
     lines = [note for note in found.notes if note.startswith("left out")]
     assert [line.split(" poses ")[0] for line in lines] == [f"left out: {n} of {len(times)}" for n in (3, 2, 1)]
     assert found.findings.poses == len(times) - 6
+
+
+def nearly_round(rng, count=300, runs=4):
+    """Honest errors of runs whose covariances are nearly round, with covariances that the heading turns beside them."""
+    own, others = [], []
+    for _ in range(runs):
+        turns = Rotation.from_rotvec(np.column_stack([np.zeros((count, 2)), rng.uniform(-np.pi, np.pi, count)]))
+        cov = np.broadcast_to(np.diag([1.1, 1.0, 1.0]), (count, 3, 3))
+        error = rng.standard_normal((count, 3)) * np.sqrt([1.1, 1.0, 1.0])
+        for found, covs in ((own, cov), (others, turned(cov, turns))):
+            found.append(Errors(np.arange(count), error, covs, turns))
+    return own, others
+
+
+def test_a_heading_that_the_nees_does_not_follow_is_chi_square_and_seldom_taken_for_another_frame():
+    rng = np.random.default_rng(5)
+    drawn_runs = [nearly_round(rng) for _ in range(500)]
+    dependence = np.array([[heading_dependence(one) for one in own] for own, _ in drawn_runs])
+    # 2000 values of variance 4 have a standard error of 0.045; effective samples are at most as many as there are.
+    assert 1.5 < dependence.mean() < 2.1
+    # Beyond 95 % of 8 degrees of freedom, and only where the other reading fits better and follows the heading less.
+    assert np.mean([is_other_frame(own, others) for own, others in drawn_runs]) < 0.008
