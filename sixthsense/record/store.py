@@ -94,7 +94,7 @@ def _arrays(channels: Mapping[str, Sequence[Message]]) -> dict[str, NDArray[Any]
 
 
 def _read_stream(trace: Trace, channels: Mapping[str, list[Message]]) -> None:
-    """Add what was streamed during the run; InputError for a record without a scan."""
+    """Add what was streamed during the run; ValueError for a record without a scan."""
     if "estimate" not in channels:
         raise ValueError("no scan")
     for name in ("plan", "tour"):

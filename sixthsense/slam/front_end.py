@@ -75,7 +75,7 @@ class LoopClosureCounts(NamedTuple):
     found: int
     """loop closures that stand"""
     refused: int
-    """places that looked right, and were refused: another looked as good, or pairs of scans did not agree"""
+    """places that looked right, and were refused, since another looked as good"""
     undone: int
     """loop closures taken back, since later scans contradicted them"""
 
@@ -101,7 +101,7 @@ class Finished(NamedTuple):
     links: PoseLinks | None = None
     """between keyframes, as the estimator has them; None for a front end that makes none"""
     loop_closures: LoopClosureCounts | None = None
-    """what the search for old places has come to; None for a front end that does not search"""
+    """what the search for old places has come to; None: no more than at the last keyframe"""
 
 
 class FrontEndSetup(NamedTuple):

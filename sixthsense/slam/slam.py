@@ -218,7 +218,7 @@ class Slam:
         if self._result is None:
             finished = self._front_end.finish()
             estimate = self._estimate = self._reported(finished.estimate)
-            self._loop_closures = finished.loop_closures
+            self._loop_closures = finished.loop_closures or self._loop_closures
             joint = self.estimator.joint_covariance(estimate.ids.tolist())
             # Links of scans have private errors, which the estimator does not know of.
             joint[:3, :3] = finished.estimate.pose_cov

@@ -24,7 +24,7 @@ _ALONG = 12.0
 
 def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, radius_m: float) -> Array:
     """(W, 2, 2) the gaps of one wall that are longer than a limit and no way for a robot, robot frame, metres."""
-    ranges = np.where((scan.ranges > 0.0) & (scan.ranges < scan.max_range), scan.ranges.astype(np.float64), np.nan)
+    ranges = np.where(scan.is_return, scan.ranges.astype(np.float64), np.nan)
     # Of each return and its neighbours before and after, those of a closed scan around its end.
     after = (np.roll(scan.bearings, -1) - scan.bearings) % math.tau
     if not scan.closed:
@@ -40,11 +40,10 @@ def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, radius_m: fl
             variance += weight * weight * ((noise.range_m * value * value) ** 2 + (noise.bearing_rad * slope) ** 2)
         off = np.abs(share_before * q_before + share_after * q_after - q)
         is_straight = (before + after < math.pi) & (off <= SIGNIFICANT * np.sqrt(variance))
-    points = ranges[:, None] * np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)])
-    gaps = np.stack([points, np.roll(points, -1, axis=0)], axis=1)
-    length = np.linalg.norm(gaps[:, 1] - gaps[:, 0], axis=1)
+        gaps = np.stack([scan.points_robot, np.roll(scan.points_robot, -1, axis=0)], axis=1)
+        length = np.linalg.norm(gaps[:, 1] - gaps[:, 0], axis=1)
     across = np.fmin(ranges, np.roll(ranges, -1)) * np.sin(after)
     is_certain = is_straight & np.roll(is_straight, -1) & (across < radius_m)
     longest = np.where(is_certain, _ALONG * radius_m, 2.0 * radius_m)
     is_gap = (is_straight | np.roll(is_straight, -1)) & (after < math.pi) & (shortest_m < length) & (length < longest)
-    return np.asarray(scan.T_robot_laser @ gaps[is_gap])
+    return np.asarray(gaps[is_gap])

@@ -110,14 +110,16 @@ class PlaceQuery(NamedTuple):
     @property
     def searched(self) -> NDArray[np.int64]:
         """Rows of the scans that are searched for."""
-        return of_last_metres(self.scans.travelled_m, self.key)[-self.last :]
+        rows = of_last_metres(self.scans.travelled_m, self.key)
+        return rows[-self.last :] if self.last else rows
 
 
 class PlaceSearch(Protocol):
     """Proposes where the newest scan may be among what is known: among earlier passes, and where a robot is lost.
 
     It is made with an object of its `Options`, if it has any, and without arguments otherwise. What it proposes is no
-    evidence: the scans of the last metres judge it, and two votes that are metres apart must agree.
+    evidence: the scans of the last metres judge it, and two votes that are metres apart must agree. Where a log ends
+    the query's `last` scans alone are searched for and judge.
 
     1. A candidate's `pose` (3,) is that of the scan's laser, m and rad, in the frame of `places.anchors`; `score` is
        between 0 and 1; `known` is `places.surroundings` of a place around it.
