@@ -77,35 +77,31 @@ def carry_out(
     The executor has a method `submit`, and the number of its `workers`, at present. No more calls begin than there are
     workers, and none after the time `until`, s. A process that dies breaks its pool: the calls that were running begin
     once more, one after the other, so that the one whose process dies again is known; its future has a LostWorkerError.
-    Those that run when the iterator is closed are cancelled.
+    Those that run when the iterator is closed end with their executor.
     """
     waiting, running = iter(items.items()), dict[Future[Any], tuple[str, T]]()
     again: list[tuple[str, T]] = []
     tried: set[str] = set()
-    try:
-        while True:
-            while len(running) < (1 if again else max(1, executor.workers)) and time.time() <= until:
-                key, item = again.pop() if again else next(waiting, (None, None))
-                if key is None or item is None:
-                    break
-                running[executor.submit(function, item)] = key, item
-                if key in tried:
-                    break
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                key, item = running.pop(future)
-                if not future.cancelled() and isinstance(future.exception(), BrokenProcessPool):
-                    if key not in tried:
-                        tried.add(key)
-                        again.append((key, item))
-                        continue
-                    future = Future()
-                    future.set_exception(LostWorkerError("2 workers died in this run"))
-                yield key, future
-    finally:
-        for future in running:
-            future.cancel()
+    while True:
+        while len(running) < (1 if again else max(1, executor.workers)) and time.time() <= until:
+            key, item = again.pop() if again else next(waiting, (None, None))
+            if key is None or item is None:
+                break
+            running[executor.submit(function, item)] = key, item
+            if key in tried:
+                break
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            key, item = running.pop(future)
+            if not future.cancelled() and isinstance(future.exception(), BrokenProcessPool):
+                if key not in tried:
+                    tried.add(key)
+                    again.append((key, item))
+                    continue
+                future = Future()
+                future.set_exception(LostWorkerError("2 workers died in this run"))
+            yield key, future
 
 
 class Processes:

@@ -78,6 +78,16 @@ def test_a_call_whose_process_dies_is_made_once_more_and_takes_no_other_down(tmp
         assert str(made[key].result()) == (tmp_path / key).read_text().split()[-1]
 
 
+def test_calls_that_run_when_their_iterator_is_closed_end_with_their_executor(caplog: pytest.LogCaptureFixture) -> None:
+    with Processes(1) as pool:
+        assert pool.submit(squared, 2.0).result() == 4.0
+        pool.workers = 9  # so that most calls wait in the pool
+        calls = carry_out(pool, time.sleep, {"first": 0.0, **{f"later {k}": 600.0 for k in range(9)}})
+        assert next(calls)[0] == "first"
+        calls.close()
+    assert caplog.text == ""
+
+
 def test_a_program_needs_no_guard_and_nothing_is_left_of_it(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text("""
