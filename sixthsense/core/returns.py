@@ -68,7 +68,7 @@ def by_bearing(ranges: NDArray[np.float32], angles: Array, bearings: Bearings, m
             cell %= bearings.beams
         if cell < 0 or cell >= bearings.beams or not r > 0.0:
             continue
-        if r >= max_range:
+        if r >= np.float32(max_range):  # as in the ranges, which may code no return so
             out[cell, 2] = max(out[cell, 2], 0.0)
         elif out[cell, 2] <= 0.0 or r < out[cell, 2]:
             out[cell, 0], out[cell, 1], out[cell, 2] = r * math.cos(angles[i]), r * math.sin(angles[i]), r

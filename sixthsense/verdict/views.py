@@ -65,7 +65,7 @@ def views_of(scans: Sequence[Scan | None]) -> Views:
         if scan is None or not len(scan.ranges):
             continue
         own, bearings = scan.ranges, scan.bearings
-        returned = np.flatnonzero(np.isfinite(own) & (own > 0.0) & (own < scan.max_range))
+        returned = np.flatnonzero(scan.is_return)
         ranges[k, returned] = own[returned]
         spacing = (bearings[-1] - bearings[0]) / max(len(own) - 1, 1)
         fans[k], closed[k] = (bearings[0], spacing, len(own)), scan.closed

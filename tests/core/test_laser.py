@@ -79,8 +79,9 @@ def test_a_full_circle_is_closed_and_repeats_no_beam():
 
 @pytest.mark.parametrize("increment", [0.1, -0.1])
 def test_a_cell_has_its_nearest_return_whatever_the_order_of_beams_and_none_where_nothing_was_measured(increment):
-    ranges = np.array([2.0, np.inf, np.nan, 3.0, 4.0, 0.0, 9.0], np.float32)
-    scan = Scan(ranges, np.float32(-3.0 * increment), np.float32(increment), 8.0)
+    farthest = 5.6  # in single precision, which a driver may write where nothing was measured, below it
+    ranges = np.array([2.0, np.inf, np.nan, 3.0, 4.0, 0.0, farthest], np.float32)
+    scan = Scan(ranges, np.float32(-3.0 * increment), np.float32(increment), farthest)
     found = scan.by_bearing[:: int(np.sign(increment))]
     assert found[:, 2].tolist() == [2.0, 0.0, NO_BEAM, 3.0, 4.0, NO_BEAM, 0.0]
     assert found[[0, 3, 4], :2] == pytest.approx(scan.points_laser[[0, 3, 4]], abs=1e-6)

@@ -103,10 +103,9 @@ class Grid:
         and when the grid would grow beyond 100 million cells; the grid is then unchanged.
         """
         T_world_laser = T_world_robot @ scan.T_robot_laser
-        ranges = scan.ranges.astype(np.float64)
-        valid = (ranges > 0.0) & (self._config.no_return_passes | (ranges < scan.max_range))
-        returned = ranges[valid] < scan.max_range
-        reach = np.minimum(ranges[valid], scan.max_range)
+        valid = scan.is_return | (self._config.no_return_passes & (scan.ranges > 0.0))
+        returned = scan.is_return[valid]
+        reach = np.minimum(scan.ranges[valid].astype(np.float64), scan.max_range)
         angles = scan.bearings[valid] + T_world_laser.theta
         ends = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=1) + T_world_laser.position
         lines = (T_world_robot @ np.concatenate(walls)).reshape(-1, 2) if self._config.walls else np.empty((0, 2))

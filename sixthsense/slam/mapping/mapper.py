@@ -90,7 +90,7 @@ class Mapper:
         self._standing_robot = standing_robot
         self._rows.append(index)
         self._scans.append((scan, walls))
-        returned = scan.ranges[scan.ranges < scan.max_range]
+        returned = scan.ranges[scan.is_return]
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
         self._trajectory = trajectory
 
