@@ -114,7 +114,6 @@ DRIVEN = (
     Column("worst", "ratio max", ".2f", "<= 1.6"),
     Column("navigation p99, ms", "plan_ms_p99 max", ".0f"),
 )
-WEARS = ("as they are", "on line")
 
 
 def speeds(setting: Setting, seed: int) -> Figures:
@@ -150,7 +149,7 @@ KINDS: dict[str, Kind] = {
         count=2, first=1, needs="{0}",
     ),
     "repetition": Kind(
-        log_runs.repetition, ("drive", "wheels"), [*itertools.product(SCENES, WEARS)],
+        log_runs.repetition, ("drive",), of(tuple(SCENES)),
         (
             Column("false loop closures", "false sum", ".0f", "<= 0"),
             Column("closed, %", "closed / true", ".1f", ">= 0.8", 100.0),
@@ -203,7 +202,7 @@ KINDS: dict[str, Kind] = {
         count=40,
     ),
     "mrclam": Kind(
-        landmark_runs.mrclam, ("estimator", "robot"), [*itertools.product(("ekf-invariant", "isam2"), "12345")],
+        landmark_runs.mrclam, ("robot",), of(tuple("12345")),
         (
             Column("per axis, m", "per_axis_m", ".3f"), Column("aligned, m", "aligned_m", ".3f"),
             Column("map turned, °", "map_turn_deg", ".1f"), Column("heading, °", "heading_deg", ".2f"),

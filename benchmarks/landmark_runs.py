@@ -68,9 +68,8 @@ def circle(setting: Setting, seed: int) -> Figures:
 def mrclam(setting: Setting, seed: int) -> Figures:
     """MRCLAM set 6, one robot, landmarks identified by barcodes, against Vicon; nothing is drawn."""
     assert seed == 0
-    estimator, robot = setting
-    config, folder = preset("mrclam", estimator=estimator), data_path("mrclam6")
-    made = replay(read_mrclam(folder, config.assumed, int(robot)), config)
+    config, folder = preset("mrclam"), data_path("mrclam6")
+    made = replay(read_mrclam(folder, config.assumed, int(setting[0])), config)
     trace, metrics, landmarks = made.trace, made.metrics, true_landmarks(folder)
     truth, estimates = np.array(trace.truths), np.array(trace.estimates)
     figures = {

@@ -59,7 +59,7 @@ def scans_alone(setting: Setting, seed: int) -> Figures:
 
 def repetition(setting: Setting, seed: int) -> Figures:
     """A drive through a building that repeats itself, with worn wheels."""
-    return drive_figures(preset("log", calibrate_wheels=setting[1] == "on line"), setting[0], seed)
+    return drive_figures(preset("log"), setting[0], seed)
 
 
 def stated_covariances(setting: Setting, seed: int) -> Figures:

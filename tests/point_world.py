@@ -20,7 +20,7 @@ __all__ = ["CONVERGED", "fed", "joint_state"]
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
 START = Pose(0.3, -0.2, 0.4)
 START_COV = np.diag([0.02, 0.03, 0.01]) + 0.002
-CONSISTENT = ("ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
+CONSISTENT = ("ekf-invariant", "isam2")
 
 
 def make(part: Part, start: Pose = START, start_cov: Array = START_COV, isam2: ISAM2Config = CONVERGED) -> Estimator:

@@ -18,7 +18,7 @@ STATED = {
 }  # fmt: skip
 """values that follow from no type"""
 TOGETHER = {
-    "goal": None, "task": "tour", "no_odometry": False, "front_end": "landmarks", "estimator": "ekf-oc",
+    "goal": None, "task": "tour", "no_odometry": False, "front_end": "landmarks", "estimator": "ekf",
     "laser.mirrored": False,
 }  # fmt: skip
 """values, besides, with which all others are valid at once"""

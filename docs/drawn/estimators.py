@@ -1,4 +1,4 @@
-"""estimators.png: the landmark circle, where the five estimators differ."""
+"""estimators.png: the landmark circle, where the three estimators differ."""
 
 from __future__ import annotations
 

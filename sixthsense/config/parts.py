@@ -150,11 +150,11 @@ def import_again(found: Mapping[tuple[str, str], str]) -> None:
                 parts.load(name, folder)
 
 
-FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
+FILTERS = ("ekf", "ekf-invariant")
 """shipped estimators that do not keep the poses of all keyframes"""
 KEEP_POSES = "with isam2, which keeps the poses of all keyframes"
 """of messages about the front end of scans"""
-NEEDS_FILTER = "a shipped estimator, or one with the methods of Filter"
+NEEDS_FILTER = "ekf-invariant, ekf, or one with the methods of Filter"
 """of messages about parameters that are estimated with the pose"""
 
 OF_THE_ROBOT = (

@@ -333,9 +333,8 @@ class Config(Section):
     preset: str = "default"
     """Set of values: default, worn, noiseless, report, log, mrclam or victoria. A file and options override it."""
     estimator: Annotated[str, parts.ESTIMATORS] = "ekf-invariant"
-    """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf, isam2, or your own. The first three are filters that stay
-    consistent when the robot turns, ekf is the report's filter, isam2 a smoother; `sixthsense parts` says how one of
-    yours is named."""
+    """Back end: ekf-invariant, ekf, isam2, or your own. ekf-invariant is a filter that stays consistent when the robot
+    turns, ekf is the report's filter, isam2 a smoother; `sixthsense parts` says how one of yours is named."""
     front_end: Annotated[str, parts.FRONT_ENDS] = "landmarks"
     """What the estimator is given: landmarks, scan-matching, or your own. landmarks: observations of walls and points;
     scan-matching: relative poses of keyframes, for an estimator that keeps all poses, isam2. Logs with scans: isam2
@@ -347,11 +346,11 @@ class Config(Section):
     """What proposes old places that the robot may be at again: branch-and-bound, or your own. With front_end
     scan-matching; what is proposed is judged and verified in any case."""
     calibrate_wheels: bool = False
-    """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
-    prior is in assumed.wheels."""
+    """Estimate the wheels' systematic errors with the pose. For filters, with landmarks; their prior is in
+    assumed.wheels."""
     calibrate_sensor: bool = False
-    """Estimate the lens of a camera with the pose. For ekf-invariant and isam2, with logs of observations
-    that name their landmark; `core/sensor.py` has the prior."""
+    """Estimate the lens of a camera with the pose. For filters, with logs of observations that name their landmark;
+    `core/sensor.py` has the prior."""
     no_odometry: bool = False
     """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
     ignored."""

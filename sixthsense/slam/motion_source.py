@@ -26,10 +26,6 @@ from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels, wheel_prior
 from sixthsense.slam.estimators import Estimator, Filter
 
-UNSTEADY = 0.4
-"""share of the wheels' errors that no parameter describes: the floor, the load and the tyres change"""
-
-
 _USUAL = WheelsConfig()
 
 
@@ -56,30 +52,22 @@ class ByWheels:
         return odometry(before, tick.odometry, self._assumed, None if self.estimate is None else self.estimate.values)
 
     def for_estimator(self, since: Odometry) -> Odometry:
-        """The motion since the last keyframe with all errors but those that the estimator estimates.
+        """The motion since the last keyframe, with the errors of wheels unless the log states its covariance.
 
         It is that which is reported between keyframes, and which the estimator is given at the next keyframe.
         """
-        if self._is_stated:
-            return since
-        return with_wheel_errors(since, self._assumed.wheels, 1.0 if self.estimate is None else UNSTEADY)
+        return since if self._is_stated else with_wheel_errors(since, self._assumed.wheels)
 
-    def for_tracking(self, since: Odometry) -> Odometry:
-        """The same with the errors that the estimate of the parameters leaves, for a scan to be aligned from."""
-        found = self.for_estimator(since)
-        if found.wheels is None or self.estimate is None:
-            return found
-        jacobian = found.wheels.jacobian
-        return Odometry(found.motion, found.cov + jacobian @ self.estimate.cov @ jacobian.T)
+    for_tracking = for_estimator
+    """the same, for a scan to be aligned from"""
 
 
-def with_wheel_errors(odometry: Odometry, errors: WheelsConfig = _USUAL, share: float = 1.0) -> Odometry:
-    """Odometry with the assumed errors of wheels in its covariance; of those that grow with the way, a share."""
+def with_wheel_errors(odometry: Odometry, errors: WheelsConfig = _USUAL) -> Odometry:
+    """Odometry with the assumed errors of wheels in its covariance."""
     motion = odometry.motion
     distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-    position = (errors.position_m + share * errors.position_per_m * distance) ** 2
-    by_way = errors.heading_per_rad * turn + errors.heading_per_m * distance
-    heading = (errors.heading_rad + share * by_way) ** 2
+    position = (errors.position_m + errors.position_per_m * distance) ** 2
+    heading = (errors.heading_rad + errors.heading_per_rad * turn + errors.heading_per_m * distance) ** 2
     return Odometry(motion, odometry.cov + np.diag([position, position, heading]), odometry.wheels)
 
 

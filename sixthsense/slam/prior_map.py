@@ -12,6 +12,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
+from sixthsense.config.parts import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -88,7 +89,7 @@ def begin_with(prior: PriorMap, config: Config, estimator: Estimator) -> None:
     """Give the estimator the landmarks; InputError where this configuration cannot be used with the map."""
     check_usable(prior, config)
     if not isinstance(estimator, Filter):
-        raise InputError("estimator", f"found {config.estimator} with a prior map", "one that has start_from")
+        raise InputError("estimator", f"found {config.estimator} with a prior map", NEEDS_FILTER)
     estimator.start_from(prior.landmarks)
 
 

@@ -47,8 +47,7 @@ def _sight(
 def coordinates(name: str, estimate: Estimate) -> Array:
     """A (n, n): the errors in world coordinates are A times the errors in which the filter is linear.
 
-    The latter are the invariant errors xi for the consistent filters: for ekf-invariant by design, for the others
-    because the covariance kept about the points of linearisation is returned about the estimates.
+    The latter are the invariant errors xi for the consistent filter.
     """
     size = 3 + 2 * len(estimate.ids)
     A = np.eye(size)

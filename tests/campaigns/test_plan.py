@@ -154,7 +154,7 @@ def test_a_damaged_table_of_a_campaign_is_named(done: CampaignPlan, old: str, ne
 
 
 def test_the_folder_keeps_the_scenes_of_earlier_commands(done: CampaignPlan) -> None:
-    more = campaign_of({**AXES, "scene": ["block"], "estimator": ["ekf-fej"]}, [7], FIELDS)
+    more = campaign_of({**AXES, "scene": ["block"], "estimator": ["ekf-invariant"]}, [7], FIELDS)
     save_folder(Path("mc"), check_folder(Path("mc"), more))
     assert read_folder(Path("mc")).scenes == done.digests() | more.digests()
 

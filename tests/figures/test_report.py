@@ -58,7 +58,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "one"
-    drive = ["--task", "tour", "--max-time", "12", "--seed", "2", "--estimator", "ekf-fej"]
+    drive = ["--task", "tour", "--max-time", "12", "--seed", "2", "--estimator", "ekf"]
     assert main(["run", "rectangle", *drive, "--out", str(out)]) == 0
     assert main(["report", str(out)]) == 0
     return out

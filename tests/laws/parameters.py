@@ -231,8 +231,8 @@ def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(nam
 def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str) -> None:
     """The drift is observed there. A drive across would observe the scale, too.
 
-    Filters with first-estimates Jacobians take a wall's first angle for its angle: two walls that seem to meet ahead
-    tell them the scale. So the angles' noise times the way is small beside the noise of the offsets.
+    The angles' noise times the way is small beside the noise of the offsets: walls that seem to meet ahead would tell
+    the scale.
     """
     rng, at, true = np.random.default_rng(2), Pose(0.0, 0.2, 0.0), Wheels(0.03, 0.0, 0.0)
     walls = np.array([[-0.5 * math.pi, -1.0], [0.5 * math.pi, -1.0]])  # normals towards the robot

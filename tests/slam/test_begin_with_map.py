@@ -65,10 +65,9 @@ def walls_at(trace, alpha_is_x, at):
     return found
 
 
-@pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
-def test_landmarks_keep_their_ids_and_become_more_certain(first, estimator):
+def test_landmarks_keep_their_ids_and_become_more_certain(first):
     prior = read_prior_map(first)
-    trace = driven(scene_of(DIVIDER), 2, prior=PriorStart(prior), estimator=estimator)
+    trace = driven(scene_of(DIVIDER), 2, prior=PriorStart(prior))
     before = dict(zip(prior.landmarks.ids.tolist(), np.diag(prior.landmarks.cov).reshape(-1, 2), strict=True))
     after = dict(zip(trace.final.ids.tolist(), np.diag(trace.joint_cov)[3:].reshape(-1, 2), strict=True))
     both = sorted(set(before) & set(after))
@@ -109,14 +108,13 @@ def test_a_run_that_begins_with_a_map_can_be_the_map_of_the_next(first, tmp_path
     assert third.prior_map["name"] == "second" and third.prior_map["digest"] == prior.digest
 
 
-@pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
-def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_keyframe_are_consistent(first, estimator):
+def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_keyframe_are_consistent(first):
     prior, sigma, nees = read_prior_map(first), (0.25, 0.25, 0.15), []
     scene = scene_of(DIVIDER)
     for seed in range(12):
         error = np.array(sigma) * np.random.default_rng(seed).standard_normal(3)
         pose = Pose.from_array(scene.start.array() + error)
-        trace = driven(scene, 50 + seed, prior=PriorStart(prior, pose, sigma), estimator=estimator, max_time=3.0)
+        trace = driven(scene, 50 + seed, prior=PriorStart(prior, pose, sigma), max_time=3.0)
         off = error_of(trace.key_estimates[0], Pose.from_array(trace.key_truths[0]))
         nees.append(normalised(off, trace.key_estimates[0].pose_cov))
         assert np.hypot(*off[:2]) < 0.05

@@ -15,7 +15,7 @@ from sixthsense.simulation.world import World
 from sixthsense.slam.result import SlamResult
 from sixthsense.slam.slam import Slam
 
-ESTIMATORS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2"]
+ESTIMATORS = ["ekf", "ekf-invariant", "isam2"]
 START = Pose(1.0, 1.0, 0.3)
 
 

@@ -103,7 +103,7 @@ class LandmarkPrior:
 class Filter(Estimator, Protocol):
     """An estimator that begins with an earlier run's landmarks, and estimates the parameters of wheels and sensor.
 
-    All shipped estimators are filters or smoothers. One of a user's needs no more than `Estimator` has; a configuration
+    The shipped estimators are filters or smoothers. One of a user's needs no more than `Estimator` has; a configuration
     that asks for more says so.
 
     9. The landmarks of an earlier run keep their ids and count as known. Their joint covariance is used as evidence
@@ -150,8 +150,8 @@ class Link:
 
 
 @runtime_checkable
-class Smoother(Filter, Protocol):
-    """A filter that keeps the poses of all updates and takes measurements between them.
+class Smoother(Estimator, Protocol):
+    """An estimator that keeps the poses of all updates and takes measurements between them.
 
     13. `link` takes each link as independent. Its pose need not be the newest.
     14. `unlink` leaves the estimate as if those links had not been given.

@@ -12,15 +12,20 @@ from scipy.linalg import block_diag, solve_triangular
 
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmark_kernels import innovations_of, stacked, translations
-from sixthsense.core.landmarks import LandmarkId, Observation
+from sixthsense.core.landmark_kernels import innovations_of, predictions, stacked, translations
+from sixthsense.core.landmarks import (
+    LandmarkId,
+    Observation,
+    initialize_landmark,
+    observed_centre,
+    rotation_generator,
+)
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import move_covariance
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_parameters, check_prior
-from sixthsense.slam.estimators.ekf_algebra import expected, new_landmark
 
 
 class EKF:
@@ -30,9 +35,9 @@ class EKF:
     Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly: a turn of
     a short wall about its middle shifts d by d/2 times the square of the turn. The linearized system loses an
     unobservable direction, the heading of the whole map, so that the filter is overconfident once the robot has turned
-    (Huang, Mourikis and Roumeliotis 2010). The variants override `_heading_lever`, `_linearization_points` and
-    `_apply_correction`. Those that keep that direction also take a wall's offset from a centre on the wall. The
-    standard filter would lose more by the heading that it gains about such a centre.
+    (Huang, Mourikis and Roumeliotis 2010). The invariant filter, which keeps that direction, overrides
+    `_apply_correction`. It also takes a wall's offset from a centre on the wall. The standard filter would lose more by
+    the heading that it gains about such a centre.
     """
 
     _has_centres: ClassVar[bool] = False
@@ -46,8 +51,6 @@ class EKF:
         self._walls = np.zeros(0, dtype=np.bool_)
         self._centres = np.zeros((0, 2))
         """(n, 2) of walls, or zero; zero for points"""
-        self._anchors = np.zeros((0, 2))
-        """(n, 2) means as first estimated, for variants that linearize there"""
         self._cov = np.array(cov)
         """(n, n) of the state, symmetric to the last bit"""
         self._slots: dict[LandmarkId, int] = {}
@@ -71,7 +74,7 @@ class EKF:
         to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
         cov = to_start @ prior.cov @ to_start.T
         self._cov = block_diag(self._cov, 0.5 * (cov + cov.T))
-        self._means, self._anchors, self._walls = means, means.copy(), prior.walls.copy()
+        self._means, self._walls = means, prior.walls.copy()
         self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
@@ -108,7 +111,7 @@ class EKF:
             shift = self._correct(slots, [observations[i] for i in known])
             for kind, at in self._at.items():
                 self._parameters[kind] = kind.from_array(self._parameters[kind].array() + shift[at])
-            self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
+            self._apply_correction(np.concatenate([shift[:3], shift[self._head :]]))
             observations = self._sensed(observations)
         self._augment({i: observation for i, observation in observations.items() if i not in self._slots})
         self._trajectory.extend(self._in_world(self._pose).array())
@@ -122,8 +125,7 @@ class EKF:
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         kept = np.concatenate([np.arange(self._head), self._places(slots)])
         self._cov = self._cov[np.ix_(kept, kept)]
-        self._means, self._anchors = self._means[slots], self._anchors[slots]
-        self._walls, self._centres = self._walls[slots], self._centres[slots]
+        self._means, self._walls, self._centres = self._means[slots], self._walls[slots], self._centres[slots]
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
     def estimate(self) -> Estimate:
@@ -138,7 +140,7 @@ class EKF:
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
         index = np.concatenate([np.arange(3), self._places(slots)])
-        joint = self._about_estimates(self._cov[np.ix_(index, index)], slots)
+        joint = np.asarray(self._cov[np.ix_(index, index)])
         _, jacobian = translations(self._means[slots], self._walls[slots], self._origin + self._centres[slots])
         for k in np.flatnonzero(self._walls[slots]):
             at = slice(3 + 2 * k, 5 + 2 * k)
@@ -150,23 +152,11 @@ class EKF:
         """(K, 3), the filtered pose at each update."""
         return np.array(self._trajectory).reshape(-1, 3)
 
-    def _heading_lever(self, moved: Array) -> Array:
-        """Displacement (2,) used in d position / d heading while the robot has `moved` by (2,)."""
-        return moved
-
-    def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
-        """The robot's position (2,) and the landmarks (m, 2) at which observations are linearized."""
-        return self._pose.position, self._means[slots]
-
-    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
-        """Correct the pose and all landmarks by `shift` (3 + 2n,), after an update with the landmarks in `slots`."""
+    def _apply_correction(self, shift: Array) -> None:
+        """Correct the pose and all landmarks by `shift` (3 + 2n,)."""
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
         self._means += shift[3:].reshape(-1, 2)
         self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
-
-    def _about_estimates(self, joint: Array, slots: NDArray[np.int64]) -> Array:
-        """The covariance (3 + 2k, 3 + 2k) of pose and landmarks about their estimates, from the stored one."""
-        return joint
 
     def _sensed(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """The observations for the present parameters of the sensor, if they are estimated."""
@@ -194,9 +184,8 @@ class EKF:
         wheels = self._parameters.get(Wheels)
         pending = self._pending if wheels is None else self._pending.with_wheels(wheels)
         pose = self._pose @ pending.motion
-        lever = self._heading_lever(pose.position - self._pose.position)
         by_head = np.eye(self._head)
-        by_head[0, 2], by_head[1, 2] = -lever[1], lever[0]
+        by_head[:2, 2] = rotation_generator(pose.position - self._pose.position)
         if wheels is not None and pending.wheels is not None:
             by_head[:3, self._at[Wheels]] = Pose(theta=pose.theta).adjoint() @ pending.wheels.jacobian
         k = self._head
@@ -212,11 +201,12 @@ class EKF:
 
         Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
-        walls, points = self._walls[slots], self._linearization_points(slots)
-        pose = self._pose.x, self._pose.y, self._pose.theta
-        predicted, by_pose, by_landmark = expected(pose, self._means[slots], *points, walls, self._centres[slots])
+        walls = self._walls[slots]
+        about_start, by_mean = translations(self._means[slots], walls, self._centres[slots])
+        predicted, by_pose, by_landmark = predictions(self._pose.triple(), about_start, walls)
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
         innovation, noise = innovations_of(z, cov, predicted, walls)
+        by_landmark[..., 0] += by_landmark[..., 1] * by_mean[:, 1, :1]  # of `by_mean` this alone is not the identity's
         H = stacked(by_pose, by_landmark, self._head)  # the non-zero columns of H
         for k, observation in enumerate(observations):
             if observation.sensor is not None:
@@ -234,20 +224,23 @@ class EKF:
         """Append new landmarks, initialized at the pose of this update."""
         if not observations:
             return
-        point, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
-        new = [new_landmark(self._pose, point, seen, self._has_centres) for seen in observations.values()]
-        G, noise = np.zeros((2 * len(new), self._head)), []
-        for j, (landmark, seen) in enumerate(zip(new, observations.values(), strict=True)):
-            rows = slice(2 * j, 2 * j + 2)
-            G[rows, :3] = landmark.by_pose
+        G, noise, means, centres = np.zeros((2 * len(observations), self._head)), [], [], []
+        for j, seen in enumerate(observations.values()):
+            centre = np.zeros(2)
+            if self._has_centres and seen.is_wall:
+                centre = self._pose @ observed_centre(seen)
+            mean, by_pose, by_z = initialize_landmark(self._pose, seen)
+            (mean,), (by_mean,) = translations(mean[None], np.array([seen.is_wall]), -centre[None])
+            by_z, rows = by_mean @ by_z, slice(2 * j, 2 * j + 2)
+            G[rows, :3] = by_mean @ by_pose
             if seen.sensor is not None:
-                G[rows, self._at[Sensor]] = landmark.by_z @ seen.sensor.jacobian()
-            noise.append(landmark.by_z @ seen.cov @ landmark.by_z.T)
+                G[rows, self._at[Sensor]] = by_z @ seen.sensor.jacobian()
+            noise.append(by_z @ seen.cov @ by_z.T)
+            means.append(mean)
+            centres.append(centre)
         cross = G @ self._cov[: self._head]
         own = cross[:, : self._head] @ G.T + block_diag(*noise)
         self._cov = np.block([[self._cov, cross.T], [cross, 0.5 * (own + own.T)]])
-        self._means = np.vstack([self._means, *(landmark.mean for landmark in new)])
-        self._centres = np.vstack([self._centres, *(landmark.centre for landmark in new)])
-        self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in new)])
+        self._means, self._centres = np.vstack([self._means, *means]), np.vstack([self._centres, *centres])
         self._walls = np.concatenate([self._walls, [seen.is_wall for seen in observations.values()]])
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(observations)}

