@@ -28,17 +28,16 @@ PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
 PEER = Path("runs/interop/peer")
 APART_S = 36.0  # more than the 30 s after which Cyclone DDS by itself forgets peers
 LOST_S = 20.0
-SIDES = {"a": ("10.77.0.1", "10.78.0.1"), "b": ("10.77.0.2", "10.78.0.2")}
+SIDES = {"a": "10.77.0.1", "b": "10.77.0.2"}
 HALL_M, RESTARTS = 200.0, 50
 
 
-def listen(domain: str, interfaces: str, peers: str) -> None:
+def listen(domain: str, interface: str) -> None:
     """Print the time of joining, and that at which each publisher of scans is heard first, once it hears this program.
 
     That is so when it takes the map that is offered.
     """
-    network = Network(int(domain), tuple(interfaces.split(",")), tuple(filter(None, peers.split(","))))
-    with Node(network) as node:
+    with Node(Network(int(domain), interface)) as node:
         scans, maps, heard = node.reader(SCAN._replace(quality=SENSOR)), node.writer(MAP), set()
         print(time.time(), flush=True)
         while True:
@@ -84,8 +83,8 @@ def robot(domain: int, namespace: str = "", *more: str) -> Program:
     return joined
 
 
-def listener(domain: int, namespace: str, interfaces: str, peers: str) -> Program:
-    found = Program([sys.executable, __file__, "--listen", str(domain), interfaces, peers], namespace)
+def listener(domain: int, namespace: str, interface: str) -> Program:
+    found = Program([sys.executable, __file__, "--listen", str(domain), interface], namespace)
     assert found.line(0, 200.0) is not None, "the network cannot be joined"
     return found
 
@@ -96,10 +95,10 @@ def delay(of: Program, number: int, robot: Program) -> float:
     return float("inf") if line is None else float(line) - max(float(of.lines[0]), float(robot.lines[0]))
 
 
-def found_in(domain: int, namespaces: tuple[str, str], interfaces: str, peers: str) -> list[float]:
+def found_in(domain: int, namespaces: tuple[str, str], interface: str) -> list[float]:
     """Seconds until both have found each other: listener first, robot again, listener again, robot first."""
     ours, theirs = namespaces
-    first = listener(domain, ours, interfaces, peers)
+    first = listener(domain, ours, interface)
     time.sleep(APART_S)
     one = robot(domain, theirs)
     delays = [delay(first, 1, one)]
@@ -107,13 +106,13 @@ def found_in(domain: int, namespaces: tuple[str, str], interfaces: str, peers: s
     two = robot(domain, theirs)
     delays.append(delay(first, 2, two))
     first.end()
-    second = listener(domain, ours, interfaces, peers)
+    second = listener(domain, ours, interface)
     delays.append(delay(second, 1, two))
     two.end()
     second.end()
     three = robot(domain, theirs)
     time.sleep(APART_S)
-    third = listener(domain, ours, interfaces, peers)
+    third = listener(domain, ours, interface)
     delays.append(delay(third, 1, three))
     three.end()
     third.end()
@@ -122,7 +121,7 @@ def found_in(domain: int, namespaces: tuple[str, str], interfaces: str, peers: s
 
 @contextlib.contextmanager
 def namespaces() -> Iterator[None]:
-    """Two network namespaces with two cables between them."""
+    """Two network namespaces with a cable between them."""
 
     def ip(words: str) -> None:
         subprocess.run(["ip", *words.split()], check=True)
@@ -132,37 +131,25 @@ def namespaces() -> Iterator[None]:
         for name in names.values():
             ip(f"netns add {name}")
             ip(f"-n {name} link set lo up")
-        for k in range(2):
-            ip(f"link add cable{k}a netns {names['a']} type veth peer name cable{k}b netns {names['b']}")
-            for side, name in names.items():
-                ip(f"-n {name} address add {SIDES[side][k]}/24 dev cable{k}{side}")
-                ip(f"-n {name} link set cable{k}{side} up")
-                if k == 0:
-                    ip(f"-n {name} route add 239.0.0.0/8 dev cable0{side}")
+        ip(f"link add cable-a netns {names['a']} type veth peer name cable-b netns {names['b']}")
+        for side, name in names.items():
+            ip(f"-n {name} address add {SIDES[side]}/24 dev cable-{side}")
+            ip(f"-n {name} link set cable-{side} up")
+            ip(f"-n {name} route add 239.0.0.0/8 dev cable-{side}")
         yield
     finally:
         for name in names.values():
             subprocess.run(["ip", "netns", "delete", name], check=False)
 
 
-CONNECTIONS = {
-    "loopback": (("", ""), LOOPBACK, ""),
-    "one interface": (("a", "b"), "cable0a", ""),
-    "several interfaces": (("a", "b"), "cable0a,cable1a", ""),
-    "one interface and peers": (("a", "b"), "cable0a", SIDES["b"][0]),
-    "peers of a network without multicast": (("a", "b"), "cable1a", SIDES["b"][1]),
-}
-"""namespaces of both, interfaces and peers of ours"""
+CONNECTIONS = {"loopback": (("", ""), LOOPBACK), "one interface": (("a", "b"), "cable-a")}
+"""namespaces of both, and our interface"""
 
 
 def found(setting: Setting, seed: int) -> Figures:
     """Seconds until both have found each other; the networks beside the loopback need root."""
     build()
     with namespaces() if setting[0] != "loopback" else contextlib.nullcontext():
-        if setting[0] != "loopback":
-            for side in SIDES:  # the second cable carries no multicast
-                words = f"ip -n sixthsense-{side} link set cable1{side} multicast off"
-                subprocess.run(words.split(), check=True)
         delays = found_in(90, *CONNECTIONS[setting[0]])
     return dict(zip(("live_first", "robot_again", "live_again", "robot_first"), delays, strict=True))
 
@@ -211,7 +198,7 @@ def beside_a_hall(folder: Path) -> Figures:
 def restarts(setting: Setting, seed: int) -> Figures:
     """Fifty robots that are killed and start again, one after the other."""
     build()
-    waiting, delays = listener(98, "", LOOPBACK, ""), list[float]()
+    waiting, delays = listener(98, "", LOOPBACK), list[float]()
     for k in range(RESTARTS):
         one = robot(98)
         delays.append(delay(waiting, k + 1 - delays.count(float("inf")), one))

@@ -21,18 +21,15 @@ class OnNetwork(Options):
 
     domain: Annotated[int | None, Arg("N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
-    interface: Annotated[str | None, Arg("NAME[,..]")] = None
-    """Interfaces, or their addresses, to join. By default that of this machine alone."""
-    peers: Annotated[str | None, Arg("ADDRESS[,..]")] = None
-    """Hosts of the robot, for networks without multicast."""
+    interface: Annotated[str, Arg("NAME")] = LOOPBACK
+    """Network interface to join, or its address. By default that of this machine alone."""
 
     def network(self) -> Network:
         """The network to join; InputError for what is not allowed, and for a missing Cyclone DDS."""
         domain = domain_of_environment() if self.domain is None else self.domain
         if os.environ.get("CYCLONEDDS_URI"):
-            announce("CYCLONEDDS_URI is not used: `interface` and `peers` are")
-        interfaces, peers = (tuple(value.split(",")) if value else () for value in (self.interface, self.peers))
-        network = Network(domain, interfaces or (LOOPBACK,), peers)
+            announce("CYCLONEDDS_URI is not used: `interface` is")
+        network = Network(domain, self.interface)
         dds("core")
         return network
 
@@ -47,8 +44,6 @@ class Live(OnNetwork, WithPriorMap):
     """Topic of the laser. Messages sensor_msgs/LaserScan."""
     odom: Annotated[str, Arg("TOPIC")] = "/odom"
     """Topic of the wheels' odometry. Messages nav_msgs/Odometry."""
-    odometry_frames: Annotated[str | None, Arg("P,C")] = None
-    """Take odometry from /tf, such as odom,base_link. Its publisher sends the transform between the two."""
     drive: bool = False
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, Arg("TOPIC")] = "/cmd_vel"
@@ -71,12 +66,10 @@ class Live(OnNetwork, WithPriorMap):
         network = self.network()
         from sixthsense.api import with_task
         from sixthsense.live.session import Session, Topics, check_drive
-        from sixthsense.logs.transforms import frame_pair
         from sixthsense.running.runs import RunHooks, run_live
         from sixthsense.running.warmup import prepare
 
-        frames = frame_pair(self.odometry_frames.split(",") if self.odometry_frames else ())
-        topics = Topics(self.scan, self.odom, self.cmd_vel, frames).checked()
+        topics = Topics(self.scan, self.odom, self.cmd_vel).checked()
         config = with_task(self.settings, flags)
         if self.drive:
             check_drive(config)
@@ -91,8 +84,6 @@ class Live(OnNetwork, WithPriorMap):
             session.configure(self.drive)
             config = session.config
             source = {"scan": topics.scan, "odom": topics.odom}
-            if frames is not None:
-                source["odometry_frames"] = ",".join(frames)
             with run_folder(self, config, f"live-{config.estimator}", source, prior) as folder:
                 run = run_live(session, self.drive, folder, RunHooks(hooks, say=announce), prior)
                 if counts := session.notices.summary():

@@ -33,10 +33,8 @@ class Quality(NamedTuple):
     """messages that are kept"""
 
 
-SENSOR = Quality(is_reliable=False, depth=50)
-"""of a reader of sensor data, which takes it from reliable writers and others"""
-FAST_SENSOR = SENSOR._replace(depth=500)
-"""of odometry, which comes more often: a program that is held up for some seconds loses none"""
+SENSOR = Quality(is_reliable=False, depth=500)
+"""of a reader of sensor data, from reliable writers and others: a program that is held up for seconds loses none"""
 RELIABLE = Quality(is_reliable=True)
 LATCHED = Quality(is_reliable=True, is_latched=True, depth=1)
 
@@ -117,13 +115,12 @@ def dds(module: str) -> Any:
 
 
 LOOPBACK = "127.0.0.1"
-LARGEST_MESSAGE_BYTES = 64 << 20
-"""A larger message is dropped before it is put together from its packets."""
 
-_MOST_PARTICIPANTS = 32  # of a host, that are looked for at an address without multicast
+_MOST_PARTICIPANTS = 32  # of this machine, that are looked for: the loopback has no multicast
 _ANNOUNCED_S = 1  # from one announcement of this program to the next
 _LARGEST_DOMAIN = 232
 _MOST_ENDPOINTS = 10_000  # of a network, that are looked at
+_ADDRESS = re.compile(r"\d+\.\d+\.\d+\.\d+")
 _ROS_TYPE = re.compile(r"(\w+)::(msg)::dds_::(\w+)_")
 
 
@@ -133,42 +130,24 @@ class Network:
 
     domain: int = 0
     """separates networks, 0 to 232"""
-    interfaces: tuple[str, ...] = (LOOPBACK,)
-    """names or addresses of the network interfaces"""
-    peers: tuple[str, ...] = ()
-    """addresses of hosts to ask for participants, beside those that multicast finds"""
+    interface: str = LOOPBACK
+    """name or address of the network interface"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= _LARGEST_DOMAIN:
             raise InputError("domain", f"found {self.domain}", f"0 to {_LARGEST_DOMAIN}")
-        named = ",".join(self.interfaces)
-        if any(map(_is_loopback, self.interfaces)) and not self.is_loopback:
-            raise InputError("interface", f"found {named}", "others without the loopback: they reach this machine, too")
-        for peer in self.peers:
-            if not _is_address(peer):
-                raise InputError("peers", f"found {shown(peer)}", "addresses such as 192.168.1.7")
-            if self.is_loopback and not _is_loopback(peer):
-                raise InputError(
-                    "peers", f"found {peer} with `interface` {named}", "with the interface that leads there"
-                )
 
     @property
     def is_loopback(self) -> bool:
         """Whether no other machine takes part."""
-        return all(map(_is_loopback, self.interfaces))
+        return self.interface == "lo" or self.interface.startswith("127.")
 
     def xml(self) -> str:
-        """The configuration of Cyclone DDS; docs/howto/live.md says what its settings are for."""
-        interfaces = "".join(
-            f"\n      <NetworkInterface {'address' if _is_address(one) else 'name'}={quoteattr(one)}/>"
-            for one in self.interfaces
-        )
-        peers = (LOOPBACK,) if self.is_loopback and not self.peers else self.peers
-        listed = "".join(f"\n      <Peer address={quoteattr(peer)}/>" for peer in peers)
+        """The configuration of Cyclone DDS: others are found by multicast, on the loopback by asking each port."""
+        named = "address" if _ADDRESS.fullmatch(self.interface) else "name"
         return f"""<CycloneDDS><Domain>
   <General>
-    <Interfaces>{interfaces}
-    </Interfaces>
+    <Interfaces><NetworkInterface {named}={quoteattr(self.interface)}/></Interfaces>
     <AllowMulticast>{"false" if self.is_loopback else "spdp"}</AllowMulticast>
   </General>
   <Discovery>
@@ -176,10 +155,8 @@ class Network:
     <InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>
     <ParticipantIndex>auto</ParticipantIndex>
     <MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex>
-    <Peers>{listed}
-    </Peers>
+    <Peers>{f"<Peer address='{LOOPBACK}'/>" * self.is_loopback}</Peers>
   </Discovery>
-  <Internal><MaxSampleSize>{LARGEST_MESSAGE_BYTES} B</MaxSampleSize></Internal>
   <Tracing><Verbosity>none</Verbosity></Tracing>
 </Domain></CycloneDDS>"""
 
@@ -216,15 +193,14 @@ class Node:
     def __init__(self, network: Network) -> None:
         """Join; InputError if an interface is not there or all places of the domain are taken."""
         core, domain, builtin = dds("core"), dds("domain"), dds("builtin")
-        for interface in network.interfaces:
-            _check_interface(interface)
+        _check_interface(network.interface)
         before = _open_sockets()
         self._open = contextlib.ExitStack()
         try:
             self._keep(domain.Domain(network.domain, network.xml()))
             self._participant = self._keep(domain.DomainParticipant(network.domain))
         except core.DDSException as error:
-            where = f"interface {','.join(network.interfaces)}, domain {network.domain}"
+            where = f"interface {network.interface}, domain {network.domain}"
             raise InputError(where, f"cannot be joined ({error.msg})", "an interface that is up") from None
         is_confined = not network.is_loopback or _confine_to_loopback(_open_sockets() - before)
         self.leak = "" if is_confined else "found the loopback, to which this system lets other machines send"
@@ -291,11 +267,6 @@ class Reader:
         """what is subscribed"""
         self._publisher = functools.cache(functools.partial(_publisher, reader))
 
-    @property
-    def publishers(self) -> int:
-        """How many publishers there are whose messages arrive here."""
-        return len(self._reader.get_matched_publications())
-
     def take(self) -> list[bytes]:
         """The serialized messages that have arrived since the last call, the newest at last."""
         return [message.data for message in self.messages()]
@@ -339,17 +310,6 @@ def _publisher(reader: Any, handle: int) -> str:
     """The identifier of a publisher in the network: its handle is another one after a break of the network."""
     found = reader.get_matched_publication_data(handle)
     return str(handle if found is None else found.key)
-
-
-def _is_address(text: str) -> bool:
-    try:
-        return ipaddress.ip_address(text).version == 4
-    except ValueError:
-        return False
-
-
-def _is_loopback(interface: str) -> bool:
-    return interface == "lo" or (_is_address(interface) and ipaddress.ip_address(interface).is_loopback)
 
 
 def _check_interface(interface: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Self
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry, propagated
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.network import LARGEST_MESSAGE_BYTES, LATCHED, RELIABLE, Topic, Writer
+from sixthsense.live.network import LATCHED, RELIABLE, Topic, Writer
 from sixthsense.live.reading import TWIST, TWIST_STAMPED
 from sixthsense.live.robot import LiveRobot
 from sixthsense.logs.diagnose import findings_of
@@ -44,19 +45,19 @@ POSE = Topic("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", RELIABLE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE._replace(depth=100))
 PLAN = Topic("/plan", "nav_msgs/msg/Path", LATCHED)
 VERDICT = Topic("/diagnostics", DIAGNOSTICS, RELIABLE)
+MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
 
 _CHECK_S = 0.05
 _FAREWELLS, _BETWEEN_S = 3, 0.02
 _JUDGED_NS = 1_000_000_000  # from one verdict to the next
+_PERIOD_S = 2.0  # from one map to the next
 
 
-def publisher(
-    advertise: Callable[[Topic], Writer], robot: LiveRobot, offer_map: Callable[[int, Trace], object]
-) -> OnTick:
+def publisher(advertise: Callable[[Topic], Writer], robot: LiveRobot) -> OnTick:
     """A hook that sends the pose after each scan and the transform of the map, with the stamp of the scan; and plans.
 
-    `advertise` gives what a topic is written with. `offer_map` takes the stamp of each scan, after which the map may
-    have changed, and the trace. The transform is dated later than its scan: so long it holds for those who look it up.
+    `advertise` gives what a topic is written with. The transform is dated later than its scan: so long it holds for
+    those who look it up.
     """
     make, plans = Messages(), 0
     writers = {topic: advertise(topic) for topic in (POSE, TF, PLAN)}
@@ -71,7 +72,6 @@ def publisher(
             send(POSE, make.estimate(tick.stamp_ns, pose, pose_covariance(trace)))
             T_map_odom = robot.odom_in_map(tick, pose)
             send(TF, make.transform(tick.stamp_ns + AHEAD_NS, WORLD, robot.odom_frame, T_map_odom))
-            offer_map(tick.stamp_ns, trace)
         if len(trace.plans) > plans:
             plans = len(trace.plans)
             send(PLAN, make.path(tick.stamp_ns, trace.plans[-1]))
@@ -156,68 +156,45 @@ class Commands:
                 self.send(Command())
 
 
-MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
-
-_PERIOD_S = 2.0
-_HEADER_BYTES = 1024  # of a map, at most
-
-
 class MapSender:
-    """Draws the keyframes that it is offered in a thread of its own, and sends the map.
+    """A hook that sends the map after new keyframes, drawn in a thread.
 
-    The thread has a map of its own, so that the loop never waits for a large one. A context manager, which ends it.
+    The thread has a map of its own, so that the loop never waits for a large one.
     """
 
-    def __init__(self, writer: Writer, say: Callable[[str], object]) -> None:
-        """`writer` is of `MAP`; `say` prints a line if the map cannot be sent."""
-        self._writer, self._say, self._messages = writer, say, Messages()
+    def __init__(self, send: Callable[[bytes], object], submit: Callable[..., Future[None]]) -> None:
+        """`send` takes serialized messages; `submit` calls a function with its arguments in a thread."""
+        self._send, self._submit, self._messages = send, submit, Messages()
         self._mapper: Mapper | None = None
-        self._news: tuple[int, float, Additions] | None = None  # stamp, size of a cell, what the map has gained
-        self._keyframes = self._scans = 0  # that were offered
-        self._has_news, self._is_over = threading.Event(), threading.Event()
-        self._offered_s = -_PERIOD_S
-        self._thread = threading.Thread(target=self._run, name="map", daemon=True)
+        self._keyframes = self._scans = 0  # that the thread was given
+        self._begun_s = -_PERIOD_S
+        self._drawing: Future[None] | None = None
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._has_news.set()
-        self._thread.join()
-
-    def offer(self, stamp_ns: int, trace: Trace) -> None:
+    def __call__(self, tick: Tick, trace: Trace) -> None:
         """Give on new keyframes, unless the thread still draws those before or the last map is not yet old."""
         keyframes, now_s = len(trace.key_stamps_ns), time.monotonic()
-        if keyframes == self._keyframes or self._has_news.is_set() or now_s - self._offered_s < _PERIOD_S:
+        if trace.live is None or keyframes == self._keyframes or now_s - self._begun_s < _PERIOD_S:
             return
-        assert trace.live is not None
+        if self._drawing is not None:
+            if not self._drawing.done():
+                return
+            self._drawing.result()  # raises what has ended it
         mapper, config = trace.live.mapper, trace.config.grid
         if self._mapper is None:
             self._mapper = Mapper(config, trace.radius_m)
             if mapper.earlier is not None:
                 self._mapper.start_from(mapper.earlier)
         additions = mapper.additions(self._scans)
-        self._keyframes, self._scans, self._offered_s = keyframes, self._scans + len(additions.scans), now_s
-        self._news = stamp_ns, config.cell_m, additions
-        self._has_news.set()
+        self._keyframes, self._scans, self._begun_s = keyframes, self._scans + len(additions.scans), now_s
+        self._drawing = self._submit(self._draw, self._mapper, additions, tick.stamp_ns, config.cell_m)
 
-    def _run(self) -> None:
-        """Draw and send what is offered until the end, or until the map is too large for a message."""
-        while self._has_news.wait() and not self._is_over.is_set():
-            assert self._news is not None and self._mapper is not None
-            stamp_ns, cell_m, additions = self._news
-            self._mapper.take(additions)
-            grid = self._mapper.draw()
-            cells = grid.occupancy()
-            if cells.size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES:
-                self._say(f"the map is not sent any more: found {cells.size} cells, allowed: {LARGEST_MESSAGE_BYTES}")
-                return
-            if cells.size:
-                message = self._messages.occupancy(stamp_ns, cells, grid.origin, cell_m)
-                self._writer.send(self._messages.serialized(message, MAP.type))
-            self._has_news.clear()
+    def _draw(self, mapper: Mapper, additions: Additions, stamp_ns: int, cell_m: float) -> None:
+        mapper.take(additions)
+        grid = mapper.draw()
+        cells = grid.occupancy()
+        if cells.size:
+            message = self._messages.occupancy(stamp_ns, cells, grid.origin, cell_m)
+            self._send(self._messages.serialized(message, MAP.type))
 
 
 LOOK_NS = 20_000_000_000

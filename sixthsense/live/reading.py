@@ -16,7 +16,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.logs.laser_geometry import FARTHEST_M
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, frame_name, planar, scan, stamp_ns, transform
-from sixthsense.logs.transforms import FramePair, TransformTree
+from sixthsense.logs.transforms import TransformTree
 from sixthsense.record.messages import WORLD, Messages
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -44,9 +44,8 @@ class RobotPose(NamedTuple):
 class MessageReader:
     """Reads serialized messages."""
 
-    def __init__(self, frames: FramePair | None = None) -> None:
-        """`frames` are those of odometry in /tf; None: it is a topic of Odometry."""
-        self._store, self._frames = Messages().store, frames
+    def __init__(self) -> None:
+        self._store = Messages().store
 
     def read(self, data: bytes, name: str) -> Any:
         """The message of the type of this name, with a valid header if it has one."""
@@ -60,17 +59,11 @@ class MessageReader:
             _check_header(message.header)
         return message
 
-    def odometry(self, data: bytes) -> RobotPose | None:
-        """The robot's pose by its wheels; None for a message of /tf without it, as those of other frames."""
-        if self._frames is None:
-            message = self.read(data, ODOMETRY)
-            frames = frame_name(message.header.frame_id), frame_name(message.child_frame_id)
-            return RobotPose(stamp_ns(message), planar(message.pose.pose), *frames)
-        for link in reversed(self.read(data, TRANSFORMS).transforms):
-            if (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames:
-                _check_header(link.header)
-                return RobotPose(stamp_ns(link), planar(link.transform), *self._frames)
-        return None
+    def odometry(self, data: bytes) -> RobotPose:
+        """The robot's pose by its wheels."""
+        message = self.read(data, ODOMETRY)
+        frames = frame_name(message.header.frame_id), frame_name(message.child_frame_id)
+        return RobotPose(stamp_ns(message), planar(message.pose.pose), *frames)
 
     def add_transforms(self, data: bytes, tree: TransformTree) -> None:
         """Add the static transforms of a message to a tree, unless it is large already."""

@@ -18,8 +18,7 @@ from sixthsense.config import Config, RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Command, Tick, seconds
-from sixthsense.live.network import Message
-from sixthsense.live.reading import LaserReader, MessageReader, Notices, RobotPose
+from sixthsense.live.reading import Notices, RobotPose
 from sixthsense.logs.joining import JOLT_M, JOLT_RAD, Odometry, pose_at
 from sixthsense.loop.interrupt import is_command_ended
 from sixthsense.navigation.guard import Guard
@@ -27,14 +26,8 @@ from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.slam.result import Step
 
-JUMP_NS = 1_000_000_000
-"""A stamp that differs by more from what has passed since the last one is of a clock that has jumped."""
-CONFIRMED = 3
-"""Messages of another time, one after the other, that tell that the clock has jumped."""
 WAIT_NS = 200_000_000
 """A scan waits at most this long for the odometry after it."""
-HOLD_NS = 1_000_000_000
-"""Odometry is held this long for scans that are late."""
 SILENT_NS = 400_000_000
 """A sensor that has sent nothing for this long is silent where the robot is driven: it must not drive on."""
 LONG_SILENT_NS = 2_000_000_000
@@ -46,7 +39,6 @@ _FASTER = 1.2  # than its top speed: three sigmas of the wheels' scale (5 %), an
 class _Waiting(NamedTuple):
     """A scan without odometry after it."""
 
-    time_ns: int
     stamp_ns: int
     """of the header"""
     arrival_ns: int
@@ -60,101 +52,75 @@ class ScanJoiner:
     begins anew elsewhere, as after a restart of its driver, goes on from where it was.
     """
 
-    def __init__(self, robot: RobotConfig, drop: Callable[[str], object]) -> None:
+    def __init__(self, robot: RobotConfig, drop: Callable[[str], object], start: Pose | None = None) -> None:
         """`robot` has the top speeds: odometry that moves faster has begun anew.
 
-        `drop` is called with the reason for each message that cannot be used.
+        `drop` is called with the reason for each message that cannot be used. The first odometry is at `start`, if that
+        is given, in the frame of the ticks.
         """
-        self._robot, self._drop = robot, drop
+        self._robot, self._drop, self._start = robot, drop, start
         self.T_joined_odom = Pose()
-        """the frame of odometry in that of the ticks: the identity until odometry begins anew or `begin_at`"""
+        """the frame of odometry in that of the ticks"""
         self._odometry: list[tuple[int, Pose]] = []
-        self._scans: list[_Waiting] = []
-        self._scanned_ns = self._ticked_ns = -math.inf  # times of the last tick with a scan, and of the last one
-        self._latest: tuple[int, int] | None = None  # stamp and arrival of the latest odometry
-        self._others = 0  # messages of odometry in turn with a stamp of another time
-
-    @property
-    def has_lost_time(self) -> bool:
-        """Whether several stamps in turn were of another time: the robot's clock has jumped."""
-        return self._others >= CONFIRMED
+        self._scans: dict[int, _Waiting] = {}  # by the time of the last beam
+        self._ticked_ns = -math.inf  # time of the last tick
+        self._arrival_ns = 0  # of the newest odometry
 
     def now(self, arrival_ns: int) -> int:
         """What the robot's clock shows at a time of arrival, late by the delay of its last message; 0 before any."""
-        return 0 if self._latest is None else self._latest[0] + arrival_ns - self._latest[1]
+        return self._odometry[-1][0] + arrival_ns - self._arrival_ns if self._odometry else 0
 
     @property
     def newest(self) -> tuple[int, Pose] | None:
         """Time and pose of the newest odometry, frame of the ticks."""
         return self._odometry[-1] if self._odometry else None
 
-    def add_odometry(self, stamp_ns: int, T_odom_robot: Pose, arrival_ns: int) -> str:
-        """Record the robot's pose by its wheels; how it has jumped, in words, "" if it has not."""
-        self._latest = self._latest or (stamp_ns, arrival_ns)
-        if not self._latest[0] - JUMP_NS <= stamp_ns <= self.now(arrival_ns) + JUMP_NS:
-            self._others += 1
-            self._drop("odometry with a stamp of another time")
-            return ""
-        self._others, self._latest = 0, max(self._latest, (stamp_ns, arrival_ns))
+    def add_odometry(self, stamp_ns: int, T_odom_robot: Pose, arrival_ns: int) -> str | None:
+        """Record the robot's pose by its wheels; how it has jumped, "" if it has not; None where it is dropped."""
         jump = ""
-        if self._odometry:
+        if not self._odometry:
+            self.T_joined_odom = Pose() if self._start is None else self._start @ T_odom_robot.inverse()
+        else:
             newest_ns, before = self._odometry[-1]
             if stamp_ns <= newest_ns:
-                self._drop("odometry twice" if stamp_ns == newest_ns else "odometry out of order")
-                return ""
+                self._drop("odometry twice or out of order")
+                return None
             after, pause_s = self.T_joined_odom @ T_odom_robot, seconds(stamp_ns - newest_ns)
-            if self._is_elsewhere(before, after, pause_s):
+            moved_m, turned = math.dist(after.position, before.position), abs(wrap_angle(after.theta - before.theta))
+            most_m, most = (_FASTER * of * pause_s for of in (self._robot.speed, self._robot.turn_rate))
+            if moved_m > most_m + JOLT_M or turned > most + JOLT_RAD:  # the robot does not drive so fast
                 self.T_joined_odom = before @ T_odom_robot.inverse()
-                jump = (
-                    f"odometry has jumped by {math.dist(after.position, before.position):.1f} m after {pause_s:.1f} s"
-                )
+                jump = f"odometry has jumped by {moved_m:.1f} m after {pause_s:.1f} s"
         self._odometry.append((stamp_ns, self.T_joined_odom @ T_odom_robot))
+        self._arrival_ns = arrival_ns
         return jump
 
-    def add_scan(self, stamp_ns: int, scan: Scan, arrival_ns: int) -> None:
-        """Record a scan; `stamp_ns` is that of its first beam."""
+    def add_scan(self, stamp_ns: int, scan: Scan, arrival_ns: int) -> bool:
+        """Record a scan; `stamp_ns` is that of its first beam. False for one that is dropped."""
         time_ns = stamp_ns - sweep_ns(len(scan.ranges), scan.time_increment)
-        if time_ns in (self._scanned_ns, *(other.time_ns for other in self._scans)):
-            self._drop("scan twice")
-        elif time_ns <= self._ticked_ns:
-            self._drop("scan late")
-        else:
-            self._scans.append(_Waiting(time_ns, stamp_ns, arrival_ns, scan))
-            self._scans.sort(key=lambda waiting: waiting.time_ns)
+        if time_ns <= self._ticked_ns or time_ns in self._scans:
+            self._drop("scan twice or late")
+            return False
+        self._scans[time_ns] = _Waiting(stamp_ns, arrival_ns, scan)
+        return True
 
     def ticks(self, arrival_ns: int) -> list[Tick]:
-        """The ticks that are due at a time of arrival, in ascending order."""
+        """The ticks that are due at a time of arrival, in ascending order: each scan, after the odometry before it."""
         found: list[Tick] = []
-        left: list[_Waiting] = []
-        for waiting in self._scans:
-            is_ahead = not self._odometry or waiting.time_ns > self._odometry[-1][0]
+        for time_ns, waiting in sorted(self._scans.items(), key=lambda item: item[0]):
+            is_ahead = not self._odometry or time_ns > self._odometry[-1][0]
             if is_ahead and arrival_ns - waiting.arrival_ns <= WAIT_NS:
-                left.append(waiting)
-            elif is_ahead or (pose := self._odometry_at(waiting.time_ns)) is None:
+                continue
+            del self._scans[time_ns]
+            if is_ahead or (pose := self._odometry_at(time_ns)) is None:
                 self._drop("scan without odometry")
-            else:
-                found += self._odometry_before(waiting.time_ns)
-                found.append(Tick(waiting.time_ns, pose, waiting.scan, log_stamp_s=waiting.stamp_ns / 1e9))
-                self._scanned_ns = self._ticked_ns = waiting.time_ns
-        self._scans = left
-        if self._odometry:
-            found += self._odometry_before(self._odometry[-1][0] - HOLD_NS)
+                continue
+            past = [(t, at) for t, at in self._odometry if t <= time_ns]
+            found += [Tick(t, at) for t, at in past if self._ticked_ns < t < time_ns]
+            found.append(Tick(time_ns, pose, waiting.scan, log_stamp_s=waiting.stamp_ns / 1e9))
+            self._ticked_ns = time_ns
+            del self._odometry[: max(len(past) - 1, 0)]  # the last one is kept to interpolate
         return found
-
-    def begin_at(self, T_joined_robot: Pose) -> None:
-        """Let the newest odometry be at a pose; what is before it is dropped. Before the first tick alone."""
-        newest_ns, pose = self._odometry[-1]
-        self.T_joined_odom = T_joined_robot @ pose.inverse() @ self.T_joined_odom
-        self._odometry = [(newest_ns, T_joined_robot)]
-
-    def _odometry_before(self, time_ns: int) -> list[Tick]:
-        """Ticks of the odometry before a time that have not been made yet; the last one is kept to interpolate."""
-        fresh = [Tick(t, pose) for t, pose in self._odometry if self._ticked_ns < t < time_ns]
-        if fresh:
-            self._ticked_ns = fresh[-1].stamp_ns
-        past = sum(t <= time_ns for t, _ in self._odometry)
-        del self._odometry[: max(past - 1, 0)]
-        return fresh
 
     def _odometry_at(self, time_ns: int) -> Pose | None:
         """`T_joined_robot` at a time before the newest message, as `logs.joining` has it; None where it is unknown."""
@@ -162,12 +128,6 @@ class ScanJoiner:
         known = Odometry(np.array(stamps), np.array([pose.array() for pose in poses]))
         (row,) = pose_at(known, np.array([time_ns]))
         return Pose.from_array(row) if np.isfinite(row).all() else None
-
-    def _is_elsewhere(self, before: Pose, after: Pose, duration_s: float) -> bool:
-        """Whether the robot does not drive so fast."""
-        turn = abs(wrap_angle(after.theta - before.theta))
-        is_far = math.dist(after.position, before.position) > _FASTER * self._robot.speed * duration_s + JOLT_M
-        return bool(is_far or turn > _FASTER * self._robot.turn_rate * duration_s + JOLT_RAD)
 
 
 class Sensor:
@@ -185,7 +145,7 @@ class Sensor:
         """
         if publisher != self._publisher and self._publisher and now_ns - self.heard_ns < SILENT_NS:
             return False
-        self._publisher, self.heard_ns = publisher, now_ns
+        self._publisher = publisher
         return True
 
     def falls_silent(self, now_ns: int) -> bool:
@@ -233,8 +193,8 @@ ANOTHER_ROBOT, LOST = "another robot", "lost"
 
 _WAIT_S = 0.02
 
-Received = tuple[bool, Message]
-"""whether a message is a scan, else odometry; and the message"""
+Received = tuple[str, RobotPose | tuple[int, Scan]]
+"""who has sent a message, and what it holds: odometry, or a scan and its stamp"""
 
 
 class Steering(NamedTuple):
@@ -252,25 +212,21 @@ class LiveRobot:
     def __init__(
         self,
         receive: Callable[[float], Iterable[Received]],
-        readers: tuple[MessageReader, LaserReader],
         notices: Notices,
         config: Config,
         steering: Steering | None = None,
+        start: Pose | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
-        start: Callable[[], Pose | None] = lambda: None,
     ) -> None:
         """`receive(timeout_s)` waits for messages at most so long; `now_ns` is the time of their arrival.
 
-        `start` gives the newest pose that a user has set since the last call, `T_map_robot`: before the first tick the
-        map begins there.
+        The map begins at `start`, `T_map_robot`, without it at the robot's pose in the frame of odometry.
         """
-        self.joiner = ScanJoiner(config.robot, notices.drop)
+        self.joiner = ScanJoiner(config.robot, notices.drop, start)
         self.odom_frame = "odom"
         self.outcome: str | None = None
         """why the run ends, None as long as the robot can be used"""
-        self._receive, self._start, self._now_ns = receive, start, now_ns
-        self._reader, self._laser = readers
-        self._notices, self._steering = notices, steering
+        self._receive, self._now_ns, self._notices, self._steering = receive, now_ns, notices, steering
         silent_ns = LONG_SILENT_NS if steering is None else SILENT_NS
         self._scans, self._odometry = (Sensor(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
         self._due: deque[Tick] = deque()
@@ -302,55 +258,40 @@ class LiveRobot:
     def _turn(self) -> None:
         """Read what has arrived, and steer by it."""
         self._read_messages()
-        self._set_start()
         self._due += self.joiner.ticks(self._now_ns())
         self._check_silence()
         self._steer()
 
     def _read_messages(self) -> None:
-        for is_scan, message in self._receive(_WAIT_S):
-            try:
-                found = self._laser.scan(message.data) if is_scan else self._reader.odometry(message.data)
-            except ValueError as error:
-                self._notices.drop(f"{'scan' if is_scan else 'odometry'} unusable", str(error))
-                continue
-            if found is None:
-                continue
-            sensor, arrival_ns = self._scans if is_scan else self._odometry, self._now_ns()
-            silent_s = 1e-9 * (arrival_ns - sensor.heard_ns)
-            if not sensor.is_of_one(message.publisher, arrival_ns):
+        for publisher, found in self._receive(_WAIT_S):
+            arrival_ns = self._now_ns()
+            sensor = self._odometry if isinstance(found, RobotPose) else self._scans
+            if not sensor.is_of_one(publisher, arrival_ns):
                 self._end(ANOTHER_ROBOT, f"{sensor.name}: a second publisher sends beside the first")
                 return
-            if sensor.is_silent:
-                sensor.is_silent = False
-                self._say(f"{sensor.name} again", f"{sensor.name} sends again, after {silent_s:.1f} s")
             if isinstance(found, RobotPose):
-                self._add_odometry(found, arrival_ns)
+                is_used = self._add_odometry(found, arrival_ns)
             else:
-                self.joiner.add_scan(*found, arrival_ns)
+                is_used = self.joiner.add_scan(*found, arrival_ns)
+            if is_used:
+                if sensor.is_silent:
+                    self._say(f"{sensor.name} again", f"{sensor.name} sends again")
+                sensor.heard_ns, sensor.is_silent = arrival_ns, False
 
-    def _add_odometry(self, found: RobotPose, arrival_ns: int) -> None:
-        """Record odometry. A driven robot is lost after a jump; one that is listened to goes on from where it was."""
+    def _add_odometry(self, found: RobotPose, arrival_ns: int) -> bool:
+        """Record odometry, false for one that is dropped.
+
+        A driven robot is lost after a jump; one that is listened to goes on from where it was.
+        """
         jump = self.joiner.add_odometry(found.stamp_ns, found.T_odom_robot, arrival_ns)
+        if jump is None:
+            return False
         self.odom_frame, self._newest = found.frame or "odom", self.joiner.newest
-        if self.joiner.has_lost_time:
-            self._end(LOST, "the robot's clock has jumped")
-        elif jump and self._steering is not None:
+        if jump and self._steering is not None:
             self._end(LOST, jump)
         elif jump:
             self._say("odometry jumped", f"{jump}; the robot is assumed to stand where it was")
-
-    def _set_start(self) -> None:
-        """Let the map begin at the pose that the user has set; one that is set later is refused."""
-        if self.joiner.newest is None or (T_map_robot := self._start()) is None:
-            return
-        if self._last is not None or self._due or self._steering is not None:
-            refused = "a pose is left out: before the first scan of a run that does not drive it is used"
-            self._say("pose refused", refused)
-            return
-        self.joiner.begin_at(T_map_robot)
-        x, y, theta = T_map_robot.array()
-        self._say("pose set", f"the map begins at {x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f}°")
+        return True
 
     def _check_silence(self) -> None:
         for sensor in (self._scans, self._odometry):

@@ -6,7 +6,8 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, Self
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -15,8 +16,10 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown, shown_name
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
-from sixthsense.live.network import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Network, Node, Reader, Topic, checked_topic
+from sixthsense.core.source import Tick
+from sixthsense.live.network import LATCHED, RELIABLE, SENSOR, Network, Node, Reader, Topic, checked_topic
 from sixthsense.live.publishing import MAP, VERDICT, Commands, MapSender, diagnostics, first_look, publisher
 from sixthsense.live.reading import (
     POSE,
@@ -31,7 +34,7 @@ from sixthsense.live.reading import (
 from sixthsense.live.robot import AheadPilot, LiveRobot, Received, Steering
 from sixthsense.logs.log import described_laser
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.logs.transforms import FramePair, TransformTree
+from sixthsense.logs.transforms import TransformTree
 from sixthsense.loop.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.loop.run import OnTick, combined_hooks, recorded_drive
 from sixthsense.navigation import make_navigator
@@ -44,7 +47,6 @@ from sixthsense.slam.prior_map import PriorStart
 ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""
 
-_TF = "/tf"
 _SHOWN = 12  # frames in a message
 _WAIT_S = 0.05
 _HINT_S = 10.0  # without a message, until the user is told where else to look
@@ -60,13 +62,10 @@ class Topics(NamedTuple):
     scan: str = "/scan"
     odom: str = "/odom"
     cmd_vel: str = "/cmd_vel"
-    frames: FramePair | None = None
-    """of odometry in /tf, instead of a topic of Odometry"""
 
     def checked(self) -> Topics:
         """With absolute names; InputError for one that is not allowed."""
-        scan, odom, cmd_vel = (checked_topic(name, getattr(self, name)) for name in ("scan", "odom", "cmd_vel"))
-        return Topics(scan, odom if self.frames is None else _TF, cmd_vel, self.frames)
+        return Topics(*(checked_topic(name, getattr(self, name)) for name in self._fields))
 
 
 class Session:
@@ -78,23 +77,19 @@ class Session:
         self.config = config
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
-        self._reader = MessageReader(topics.frames)
-        self._frames = TransformTree()
+        self._reader, self._frames = MessageReader(), TransformTree()
         self._node = Node(network)
-        of_odometry = ODOMETRY if topics.frames is None else TRANSFORMS
         self._starts = self._node.reader(Topic("/initialpose", POSE, RELIABLE))
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
-        self._odometry = self._node.reader(Topic(topics.odom, of_odometry, FAST_SENSOR))
+        self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, SENSOR))
         self._statics = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
         self._commands: str | None = None  # their type
-        self._open = contextlib.ExitStack()
-        self._open.callback(self._node.close)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._open.close()
+        self._node.close()
 
     def configure(self, drive: bool) -> None:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
@@ -107,7 +102,6 @@ class Session:
             if drive:
                 raise InputError("interface", leak, "the interface of the robot's network")
             self._say(f"interface: {leak}")
-        self._maps = self._open.enter_context(MapSender(self._node.writer(MAP), self._say))
         laser, robot, topics = self.config.laser, self.config.robot, self._topics
         stated = laser.explicit_fields
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
@@ -117,24 +111,25 @@ class Session:
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.upside_down ^= laser.mirrored
-        laser = described_laser([self._laser.scan(last)[1]], laser)
+        mount = self._laser.T_robot_laser or Pose()
+        laser = described_laser([last], laser).replaced(mount=(mount.x, mount.y, mount.theta))
         if drive:
             robot = robot.replaced(control_period_s=max(robot.control_period_s, _RESPONSE_S))
             ticks = math.ceil(1e-9 * float(np.median(np.diff(stamps))) / robot.control_period_s - 0.1)
             laser = laser.replaced(period_ticks=max(1, ticks))
         self.config = self.config.replaced(laser=laser, robot=robot)
 
-    def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
-        """Run the loop until the task is over, or until the command is ended; the robot is then stopped."""
-        config = self.config
+    def run(self, drive: bool, hook: OnTick, prior: PriorStart | None = None) -> Trace:
+        """Run the loop until the task is over, or until the command is ended; the robot is then stopped.
+
+        `hook` is called after each tick.
+        """
+        config, placed = self.config, None if prior is None else prior.pose
         radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M
-        guard = Guard(config, radius_m)
-        trace = Trace(config, None, radius_m, name="live")
-        placed = None if prior is None else prior.pose
+        guard, trace = Guard(config, radius_m), Trace(config, None, radius_m, name="live")
         robot: LiveRobot
         with contextlib.ExitStack() as stack:
-            pilot = Pilot(Navigator(timeout_outcome="time is up"), guard)
-            steering = None
+            pilot, steering = Pilot(Navigator(timeout_outcome="time is up"), guard), None
             if drive:
                 pilot = ahead = AheadPilot(_navigator(config, placed or self._robot.T_odom_robot, radius_m), guard)
                 kind = self._commands or TWIST
@@ -142,21 +137,24 @@ class Session:
                 now_ns = (lambda: robot.joiner.now(time.monotonic_ns())) if kind == TWIST_STAMPED else None
                 send = stack.enter_context(Commands(writer.send, now_ns, self._robot.robot)).send
                 steering = Steering(ahead, send, lambda: writer.readers)
-            start = self._start if placed is None else lambda: None
-            robot = LiveRobot(self._received, (self._reader, self._laser), self.notices, config, steering, start=start)
-            hooks = [
-                publisher(self._node.writer, robot, self._maps.offer),
-                diagnostics(self._node.writer(VERDICT).send, pilot),
-                first_look(self._say),
-                *([] if hook is None else [hook]),
-            ]
+            map_thread = stack.enter_context(ThreadPoolExecutor(1))
             for reader in (self._odometry, self._scans):  # what has arrived while the hot loops were compiled
                 reader.take()
+            start = None if drive or placed is not None else self._start()
+            robot = LiveRobot(self._received, self.notices, config, steering, start)
+            hooks = combined_hooks(
+                publisher(self._node.writer, robot),
+                MapSender(self._node.writer(MAP).send, map_thread.submit),
+                diagnostics(self._node.writer(VERDICT).send, pilot),
+                first_look(self._say),
+                self._refuse_start,
+                hook,
+            )
             if (first := robot.begin()) is None:
                 if robot.outcome is not None:
                     raise InputError(self._topics.scan, f"found {robot.outcome}", "one robot")
                 raise KeyboardInterrupt
-            recorded_drive(robot, first, pilot, trace, combined_hooks(*hooks), prior)
+            recorded_drive(robot, first, pilot, trace, hooks, prior)
         by_user = ENDED_BY_USER if trace.outcome == "interrupted" and is_ended_by_ctrl_c() else trace.outcome
         trace.outcome = robot.outcome or by_user
         if drive and trace.outcome == "goal unreachable":
@@ -164,75 +162,75 @@ class Session:
         return trace
 
     def _start(self) -> Pose | None:
-        """The newest pose that was set on /initialpose since the last call."""
-        found: list[Pose] = []
-        self._read(self._starts, lambda data: found.append(self._reader.pose_in_map(data)))
-        return found[-1] if found else None
+        """The newest pose that was set on /initialpose, where the map begins."""
+        start = None
+        for _, start in self._read(self._starts, self._reader.pose_in_map):
+            x, y, theta = start.array()
+            self._say(f"the map begins at {x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f}°")
+        return start
 
-    def _read(self, reader: Reader, use: Callable[[bytes], object]) -> None:
-        """Use the messages that have arrived; those that raise a ValueError are dropped."""
-        for data in reader.take():
+    def _refuse_start(self, tick: Tick, trace: Trace) -> None:
+        """A hook that names a pose which is set too late."""
+        if self._starts.take():
+            text = "a pose is left out: before the first scan of a run that does not drive it is used"
+            self.notices.event("pose refused", text, time.monotonic_ns())
+
+    def _read(self, reader: Reader, read: Callable[[bytes], Any]) -> Iterator[tuple[str, Any]]:
+        """Who has sent the messages that have arrived, and what they hold; those that cannot be used are dropped."""
+        for message in reader.messages():
             try:
-                use(data)
+                found = read(message.data)
             except ValueError as error:
                 self.notices.drop(f"{reader.topic.name} unusable", str(error))
+            else:
+                yield message.publisher, found
 
     def _received(self, timeout_s: float) -> Iterator[Received]:
-        """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
+        """What has arrived, or arrives within a time; odometry first, which scans wait for."""
         self._node.wait(timeout_s)
-        for message in self._odometry.messages():
-            yield False, message
-        for message in self._scans.messages():
-            yield True, message
+        yield from self._read(self._odometry, self._reader.odometry)
+        yield from self._read(self._scans, self._laser.scan)
 
     def _read_frames(self) -> None:
-        self._read(self._statics, lambda data: self._reader.add_transforms(data, self._frames))
+        for _ in self._read(self._statics, lambda data: self._reader.add_transforms(data, self._frames)):
+            pass
 
-    def _first_messages(self, drive: bool) -> tuple[list[int], RobotPose, bytes]:
-        """The stamps of the latest scans, ns, the first odometry, and the latest scan."""
+    def _first_messages(self, drive: bool) -> tuple[list[int], RobotPose, Scan]:
+        """The stamps of the latest scans, ns, the first odometry, and the latest scan; InputError for another robot."""
         stamps: list[int] = []
         odometry: RobotPose | None = None
-        last, hint_s = b"", time.monotonic() + _HINT_S
-        while self._is_robot_missing(drive) or len(stamps) <= _PERIODS or odometry is None:
+        last, hint_s = None, time.monotonic() + _HINT_S
+        while (drive and not self._commands) or len(stamps) <= _PERIODS or odometry is None or last is None:
             if is_command_ended():
                 raise KeyboardInterrupt
+            for topic in (self._topics.scan, self._topics.odom):
+                check_one_publisher(self._node, topic)
+            self._commands = command_type(self._node, self._topics.cmd_vel) if drive else None
             if time.monotonic() > hint_s:
                 hint_s = math.inf
                 self._say_missing(not stamps, odometry is None, drive and not self._commands)
-            for is_scan, message in self._received(_WAIT_S):
-                try:
-                    if is_scan:
-                        stamp_ns, _ = self._laser.scan(message.data)
-                        stamps, last = sorted({*stamps, stamp_ns})[-_PERIODS - 1 :], message.data
-                    else:
-                        odometry = odometry or self._reader.odometry(message.data)
-                except ValueError as error:
-                    self.notices.drop(f"{'scan' if is_scan else 'odometry'} unusable", str(error))
+            for _, found in self._received(_WAIT_S):
+                if isinstance(found, RobotPose):
+                    odometry = odometry or found
+                else:
+                    stamp_ns, last = found
+                    stamps = sorted({*stamps, stamp_ns})[-_PERIODS - 1 :]
             self._read_frames()
         return stamps, odometry, last
 
     def _say_missing(self, scans: bool, odometry: bool, commands: bool) -> None:
         """Name what does not come, what does, and where else to look."""
         topics = self._topics
-        of_odometry = "(in /tf: `odometry_frames` odom,base_link)" if topics.frames is None else str(topics.frames)
-        missing = [f"nothing on {topics.scan}"] * scans + [f"nothing on {topics.odom} {of_odometry}"] * odometry
+        missing = [f"nothing on {topics.scan}"] * scans + [f"nothing on {topics.odom}"] * odometry
         missing += [f"nobody who reads {topics.cmd_vel}"] * commands
-        others = {e.topic: e.type.rpartition("/")[2] for e in self._node.publishers() if e.topic != MAP.name}
+        others = {e.topic: e.type.rpartition("/")[2] for e in self._node.publishers()}
         seen = ", ".join(f"{name} ({kind})" for name, kind in others.items()) or "none"
-        networks = "other networks: `interface`, `domain`, `peers`"
+        networks = "other networks: `interface`, `domain`"
         self._say(f"{' and '.join(missing)} yet (seen: {seen}); {networks}")
-
-    def _is_robot_missing(self, drive: bool) -> bool:
-        """Whether nobody takes the commands of a robot that is to be driven; InputError if there is another robot."""
-        check_one_publisher(self._scans)
-        if self._topics.frames is None:
-            check_one_publisher(self._odometry)
-        self._commands = command_type(self._node, self._topics.cmd_vel) if drive else None
-        return drive and self._commands is None
 
     def _mount(self) -> tuple[Pose, bool]:
         """The mount of the laser on the robot by static transforms, and whether it is upside down."""
-        until_s = time.monotonic() + (_SENT_S if self._statics.publishers else _FRAMES_S)
+        until_s = time.monotonic() + (_SENT_S if self._node.publishers("/tf_static") else _FRAMES_S)
         laser, found = self._laser.frame, None
         while found is None and time.monotonic() < until_s:
             self._node.wait(_WAIT_S)
@@ -243,8 +241,6 @@ class Session:
                 found = self._frames.mount(robot, laser) if is_told else None
             except ValueError as error:
                 raise InputError("/tf_static", f"{error}, or `laser.mount` X Y THETA") from None
-            for reader in (self._odometry, self._scans):
-                reader.take()
         if found is None:
             there = ", ".join(map(shown_name, self._frames.frames()[:_SHOWN])) or "none"
             missing = f"no static transforms lead from {shown_name(robot)} to {shown_name(laser)} (frames: {there})"
@@ -252,11 +248,11 @@ class Session:
         return found or (Pose(), False)
 
 
-def check_one_publisher(reader: Reader) -> None:
+def check_one_publisher(node: Node, topic: str) -> None:
     """Raise InputError if a topic has several publishers: a map of two robots is of neither."""
-    if (count := reader.publishers) > 1:
-        found = f"found {count} publishers"
-        raise InputError(reader.topic.name, found, "one robot; `scan` and `odom` name its topics, `domain` its network")
+    if (count := len(node.publishers(topic))) > 1:
+        allowed = "one robot; `scan` and `odom` name its topics, `domain` its network"
+        raise InputError(topic, f"found {count} publishers", allowed)
 
 
 def command_type(node: Node, topic: str) -> str | None:
@@ -294,5 +290,5 @@ def _navigator(config: Config, start: Pose, radius_m: float) -> Navigator:
     check_drive(config)
     streams = random_streams(config.seed)
     goals = np.array(config.tour if config.task == "tour" else [config.goal or (0.0, 0.0)], dtype=np.float64)
-    region = config.region or (0.0, 0.0, 0.0, 0.0)
+    region = config.region or (start.x, start.y, start.x, start.y)
     return make_navigator(config, start, goals, region, radius_m, streams.planner, streams.exploration)

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,7 @@ import sixthsense as ss
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Command
+from sixthsense.core.source import Command, Tick
 from sixthsense.live import publishing
 from sixthsense.live.publishing import (
     LEVELS,
@@ -78,40 +79,52 @@ def a_scan(rng: np.random.Generator) -> Scan:
 
 
 @pytest.mark.parametrize("is_prior", [False, True])
-def test_the_thread_sends_the_map_that_the_run_would_draw_until_it_is_too_large(is_prior, monkeypatch):
+def test_the_thread_sends_the_map_that_the_run_would_draw_and_nothing_that_is_not_new(is_prior, monkeypatch):
     monkeypatch.setattr(publishing, "_PERIOD_S", 0.0)
-    rng, sent, lines, own = np.random.default_rng(4), list[Any](), list[str](), Mapper(CONFIG.grid, 0.2)
+    rng, sent, own = np.random.default_rng(4), list[Any](), Mapper(CONFIG.grid, 0.2)
     if is_prior:
         earlier = Grid(CONFIG.grid, 0.2)
         earlier.add(Pose(1.3, 5.2, 0.3), a_scan(rng))
         own.start_from(earlier.submap())
     trace: Any = SimpleNamespace(config=CONFIG, radius_m=0.2, key_stamps_ns=[], live=SimpleNamespace(mapper=own))
     trajectory = np.zeros((0, 3))
+    with ThreadPoolExecutor(1) as thread:
+        drawings: list[Future[None]] = []
 
-    def add_until(count: int) -> None:
-        nonlocal trajectory
-        for k in range(len(trajectory), count):
-            here = Pose(0.4, -0.3, 0.7) @ Pose(0.21 * k, 0.03 * k, 0.17 * k)
-            trajectory = np.vstack([trajectory + 0.004 * rng.standard_normal((k, 3)), here.array()])
-            own.add(k, trajectory.copy, a_scan(rng), Walls(np.array([[[1.1, 2.2], [3.1, 2.4]]]), np.zeros((0, 2, 2))))
-            trace.key_stamps_ns.append(k)
+        def submit(*given: Any) -> Future[None]:
+            drawings.append(thread.submit(*given))
+            return drawings[-1]
 
-    writer: Any = SimpleNamespace(send=lambda data: sent.append(MAKE.store.deserialize_cdr(data, MAP.type)))
-    with MapSender(writer, lines.append) as sender:
+        hook = MapSender(lambda data: sent.append(MAKE.store.deserialize_cdr(data, MAP.type)), submit)
         for count in (1, 4, 13, 14, 31):
-            add_until(count)
-            sender.offer(1_700_000_000_123_456_789 + count, trace)
-            wait_until(lambda: not sender._has_news.is_set())
+            for k in range(len(trajectory), count):
+                here = Pose(0.4, -0.3, 0.7) @ Pose(0.21 * k, 0.03 * k, 0.17 * k)
+                trajectory = np.vstack([trajectory + 0.004 * rng.standard_normal((k, 3)), here.array()])
+                walls = Walls(np.array([[[1.1, 2.2], [3.1, 2.4]]]), np.zeros((0, 2, 2)))
+                own.add(k, trajectory.copy, a_scan(rng), walls)
+                trace.key_stamps_ns.append(k)
+            for _again in range(2):
+                hook(Tick(1_700_000_000_123_456_789 + count, Pose()), trace)
+            drawings[-1].result()
             grid, info = own.draw(), sent[-1].info
             np.testing.assert_array_equal(sent[-1].data.reshape(info.height, info.width), grid.occupancy())
             assert (info.origin.position.x, info.origin.position.y) == grid.origin
-        sender.offer(2, trace)  # nothing is new
-        monkeypatch.setattr(publishing, "LARGEST_MESSAGE_BYTES", 2000)
-        for count in (32, 33):
-            add_until(count)
-            sender.offer(count, trace)
-            wait_until(lambda: lines)
-    assert len(sent) == 5 and len(lines) == 1 and "the map is not sent any more" in lines[0]
+            assert stamp_ns(sent[-1]) == 1_700_000_000_123_456_789 + count
+    assert len(sent) == 5
+
+
+def test_what_ends_the_thread_of_the_map_ends_the_run(monkeypatch):
+    monkeypatch.setattr(publishing, "_PERIOD_S", 0.0)
+    broken: Future[None] = Future()
+    broken.set_exception(OSError("no memory"))
+    hook = MapSender(print, lambda *given: broken)
+    trace: Any = SimpleNamespace(
+        config=CONFIG, radius_m=0.2, key_stamps_ns=[1], live=SimpleNamespace(mapper=Mapper(CONFIG.grid, 0.2))
+    )
+    hook(Tick(1, Pose()), trace)
+    trace.key_stamps_ns.append(2)
+    with pytest.raises(OSError, match="no memory"):
+        hook(Tick(2, Pose()), trace)
 
 
 def told(own):

@@ -9,17 +9,9 @@ import pytest
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
-from sixthsense.live.reading import (
-    POSE,
-    TRANSFORMS,
-    TWIST,
-    TWIST_STAMPED,
-    LaserReader,
-    MessageReader,
-    Notices,
-)
+from sixthsense.live.reading import POSE, TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices
 from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.logs.transforms import FramePair, TransformTree
+from sixthsense.logs.transforms import TransformTree
 from sixthsense.record.messages import Messages
 
 MAKE = Messages()
@@ -32,14 +24,9 @@ def ill_stamped() -> Any:
     return header
 
 
-def scan_of(beams: int = 360, max_range: float = 10.0) -> Scan:
-    step = np.float32(2.0 * math.pi / beams)
-    ranges = np.linspace(1.0, 2.0, beams, dtype=np.float32)
-    return Scan(ranges, np.float32(-math.pi), step, max_range)
-
-
 def scan_message(beams: int = 360, **changes: Any) -> bytes:
-    message = MAKE.scan(STAMP, scan_of(beams))
+    ranges = np.linspace(1.0, 2.0, beams, dtype=np.float32)
+    message = MAKE.scan(STAMP, Scan(ranges, np.float32(-math.pi), np.float32(2.0 * math.pi / beams), 10.0))
     for name, value in changes.items():
         setattr(message, name, value)
     return MAKE.serialized(message, LASER_SCAN)
@@ -49,11 +36,7 @@ def laser(max_range: float | None = None) -> LaserReader:
     return LaserReader(MessageReader(), max_range, Pose(0.2, -0.3, 0.4))
 
 
-def odometry_message(**changes: Any) -> bytes:
-    message = MAKE.odometry(STAMP, Pose(1.0, 2.0, 0.5))
-    for name, value in changes.items():
-        setattr(message, name, value)
-    return MAKE.serialized(message, ODOMETRY)
+ODOMETRY_MESSAGE = MAKE.serialized(MAKE.odometry(STAMP, Pose(1.0, 2.0, 0.5)), ODOMETRY)
 
 
 @pytest.mark.parametrize("name", [TWIST, TWIST_STAMPED])
@@ -70,7 +53,7 @@ def test_a_command_is_speed_ahead_and_turn_rate_about_the_vertical_each_up_to_a_
 
 def test_a_message_that_is_too_large_is_not_read_and_a_tree_takes_a_thousand_frames():
     with pytest.raises(ValueError, match="found a message of 1048577 bytes, allowed: 1048576"):
-        MessageReader().odometry(odometry_message().ljust(1048577, b"\0"))
+        MessageReader().odometry(ODOMETRY_MESSAGE.ljust(1048577, b"\0"))
     tree, reader = TransformTree(), MessageReader()
     links = [MAKE.transform(STAMP, "base_link", f"laser{k}", Pose(0.2)).transforms[0] for k in range(1005)]
     reader.add_transforms(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), tree)
@@ -78,19 +61,14 @@ def test_a_message_that_is_too_large_is_not_read_and_a_tree_takes_a_thousand_fra
 
 
 def test_each_scan_has_its_own_beams_and_range_or_the_range_that_was_stated():
-    found = laser(1.7)
-    _, first = found.scan(scan_message(range_max=2000.0))
+    _, first = laser(1.7).scan(scan_message(range_max=2000.0))
     assert first.max_range == 1.7 and first.T_robot_laser == Pose(0.2, -0.3, 0.4)
-    expected = scan_of().ranges
+    expected = np.linspace(1.0, 2.0, 360, dtype=np.float32)
     np.testing.assert_array_equal(first.ranges, np.where(expected <= np.float32(1.7), expected, np.inf))
     found = laser()
-    assert (
-        found.scan(scan_message())[1].max_range == 10.0 and found.scan(scan_message(range_max=9.0))[1].max_range == 9.0
-    )
+    assert [found.scan(scan_message(range_max=m))[1].max_range for m in (10.0, 9.0)] == [10.0, 9.0]
     _, fewer = found.scan(scan_message(300, angle_increment=0.012, angle_min=-1.7))
     assert len(fewer.ranges) == 300 and fewer.bearings[2] == pytest.approx(-1.7 + 0.024, abs=1e-6)
-    with pytest.raises(ValueError, match=r"found range_max 1001\.0, allowed: up to 1000 m"):
-        found.scan(scan_message(range_max=1001.0))
 
 
 def test_the_laser_is_that_of_the_first_scan():
@@ -117,57 +95,14 @@ def test_what_happens_is_counted_and_said_again_after_ten_seconds():
     assert notices.summary() == "jump 4, scan late 3, scan unusable 3"
 
 
-def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transforms_are_none():
-    reader = MessageReader(FramePair("odom", "base_link"))
-    own, other, unstamped = (
-        MAKE.serialized(MAKE.transform(stamp, parent, "base_link", Pose(1.0, 2.0, 0.5)), TRANSFORMS)
-        for stamp, parent in ((STAMP, "odom"), (STAMP, "map"), (0, "odom"))
-    )
-    found = reader.odometry(own)
-    assert (found.stamp_ns, found.frame, found.robot) == (STAMP, "odom", "base_link")
-    np.testing.assert_allclose(found.T_odom_robot.array(), [1.0, 2.0, 0.5])
-    assert reader.odometry(other) is None
-    with pytest.raises(ValueError, match="found the stamp 0 s 0 ns"):
-        reader.odometry(unstamped)
-
-
 @pytest.mark.parametrize("changes", [
-    {"angle_min": math.nan}, {"angle_increment": 0.0}, {"angle_increment": math.inf},
-    {"ranges": np.zeros(0, np.float32)}, {"ranges": np.zeros(1, np.float32)},
+    {"angle_min": math.nan}, {"angle_increment": 0.0}, {"ranges": np.zeros(1, np.float32)},
     {"ranges": np.zeros(100_001, np.float32), "angle_increment": 1e-5}, {"header": MAKE.header(0, "laser")},
-    {"header": ill_stamped()},
+    {"header": ill_stamped()}, {"range_max": 1001.0},
 ])  # fmt: skip
 def test_a_scan_with_numbers_that_are_not_allowed_is_named(changes):
     with pytest.raises(ValueError, match=r"found .*, allowed: "):
         laser().scan(scan_message(**changes))
-
-
-@pytest.mark.parametrize("name", [LASER_SCAN, ODOMETRY, TRANSFORMS, TWIST])
-@pytest.mark.parametrize("seed", range(5))
-def test_damaged_bytes_are_a_value_error(name, seed):
-    whole = {
-        LASER_SCAN: scan_message(),
-        ODOMETRY: odometry_message(),
-        TRANSFORMS: MAKE.serialized(MAKE.transform(STAMP, "a", "b", Pose()), TRANSFORMS),
-        TWIST: MAKE.serialized(MAKE.twist(1.0, 2.0), TWIST),
-    }[name]
-    rng = np.random.default_rng(seed)
-    reader, tree = MessageReader(), TransformTree()
-    read = {
-        LASER_SCAN: laser().scan,
-        ODOMETRY: reader.odometry,
-        TRANSFORMS: lambda data: reader.add_transforms(data, tree),
-        TWIST: reader.command,
-    }[name]
-    for _ in range(50):
-        data = bytearray(whole[: rng.integers(0, len(whole) + 1)] if rng.random() < 0.5 else whole)
-        for _ in range(rng.integers(0, 6)):
-            if data:
-                data[rng.integers(0, min(len(data), 120))] = rng.integers(0, 256)
-        try:
-            read(bytes(data))
-        except ValueError as error:
-            assert "\n" not in str(error)
 
 
 def pose_message(frame: str = "map") -> bytes:
@@ -176,8 +111,33 @@ def pose_message(frame: str = "map") -> bytes:
     return MAKE.serialized(message, POSE)
 
 
+READS = {
+    LASER_SCAN: (scan_message(), lambda: laser().scan),
+    ODOMETRY: (ODOMETRY_MESSAGE, lambda: MessageReader().odometry),
+    TRANSFORMS: (
+        MAKE.serialized(MAKE.transform(STAMP, "a", "b", Pose()), TRANSFORMS),
+        lambda: lambda data: MessageReader().add_transforms(data, TransformTree()),
+    ),
+    TWIST: (MAKE.serialized(MAKE.twist(1.0, 2.0), TWIST), lambda: MessageReader().command),
+    POSE: (pose_message(), lambda: MessageReader().pose_in_map),
+}
+
+
+@pytest.mark.parametrize("name", READS)
+def test_damaged_bytes_are_a_value_error(name):
+    whole, reader = READS[name]
+    rng, read = np.random.default_rng(7), reader()
+    for _ in range(250):
+        data = bytearray(whole[: rng.integers(0, len(whole) + 1)] if rng.random() < 0.5 else whole)
+        for _ in range(rng.integers(0, 6) if data else 0):
+            data[rng.integers(0, min(len(data), 120))] = rng.integers(0, 256)
+        try:
+            read(bytes(data))
+        except ValueError as error:
+            assert "\n" not in str(error)
+
+
 def test_a_pose_of_a_user_is_in_the_frame_of_the_map():
     assert MessageReader().pose_in_map(pose_message("/map")).array() == pytest.approx((1.2, -3.4, 0.7))
-    for data, said in ((pose_message("odom"), "in the frame odom, allowed: in map"), (pose_message()[:60], "be read")):
-        with pytest.raises(ValueError, match=said):
-            MessageReader().pose_in_map(data)
+    with pytest.raises(ValueError, match="in the frame odom, allowed: in map"):
+        MessageReader().pose_in_map(pose_message("odom"))
