@@ -20,7 +20,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import Links, cheapest_path, ways_from
 from sixthsense.navigation.visibility import mark_visible, nearest_view
-from sixthsense.simulation.mission import mission
+from sixthsense.simulation.mission import mission_of
 from sixthsense.simulation.scene import Scene, load_scene
 
 CELL_M = 0.1
@@ -34,7 +34,7 @@ def nearest_frontier_travel(config: Config, share: float, scene: Scene | None = 
     The scene is that of the configuration, unless it is given.
     """
     scene = scene or load_scene(config.scene, config.map_unknown)
-    _, start, _, radius_m, _ = mission(scene, config)
+    _, start, _, radius_m, _ = mission_of(config, scene)[1]
     region = config.region or scene.region
     area = visible_area(scene.walls, region, (start.x, start.y), radius_m, config.laser.max_range, CELL_M)
     solid = occupied(scene.walls, np.array(area.origin), area.cell_m, area.mask.shape)

@@ -56,7 +56,7 @@ class CampaignPlan:
         Raises InputError for a name or field that is not allowed, for a scene, start or goal, and for a part that no
         worker can import.
         """
-        from sixthsense.simulation.mission import mission, with_people
+        from sixthsense.simulation.mission import mission_of
         from sixthsense.simulation.scene import load_scene
 
         bases = self.bases()
@@ -64,8 +64,7 @@ class CampaignPlan:
         for scene in self.values["scene"]:
             loaded = load_scene(scene, bases[0].map_unknown)
             for base in bases:
-                at_scene = with_people(loaded, base.replaced(scene=scene))
-                mission(loaded, at_scene)
+                at_scene, _ = mission_of(base.replaced(scene=scene), loaded)
                 for names in itertools.product(*(self.values.get(parts.kind, (None,)) for parts in KINDS)):
                     named = {parts.kind: name for parts, name in zip(KINDS, names, strict=True) if name is not None}
                     found.append(with_parts(at_scene, self.fields, **named))

@@ -27,7 +27,8 @@ from sixthsense.core.motion import STANDSTILL, odometry
 from sixthsense.core.se2 import between
 from sixthsense.core.source import Command
 from sixthsense.evaluation.metrics import squares, true_landmarks
-from sixthsense.simulation.scene import check_placement, load_scene
+from sixthsense.simulation.mission import placement
+from sixthsense.simulation.scene import load_scene
 from sixthsense.simulation.world import World
 from sixthsense.slam.features import extract
 
@@ -138,11 +139,10 @@ def drive_samples(
     A sample that ends at a wall does not count, and the robot begins again at its start.
     """
     scene, robot = load_scene(config.scene, config.map_unknown), config.robot
-    start = Pose(*config.start) if config.start is not None else scene.start
-    start = check_placement(scene, start, None, config.region, robot.radius)
+    start, radius_m = placement(config, scene)
     out: list[Sample] = []
     for _ in range(_STARTS):
-        world = World(scene.walls, start, robot.radius or scene.radius, config, world_rng, scene.glass)
+        world = World(scene.walls, start, radius_m, config, world_rng, scene.glass)
         tick = world.step(Command())
         while tick is not None and not tick.collided and len(out) < samples:
             began, track = tick, [tick.odometry]

@@ -10,18 +10,17 @@ from typing import Annotated, Any, Literal
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, Field
+from pydantic import BaseModel, Field
 
 from sixthsense.config.errors import InputError, reason_of
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.simulation.scene_files import check_count, checked, read_text
+from sixthsense.simulation.scene_files import checked
 
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF")
 _SAVED_UNKNOWN, _SAVED_FREE = 205, 254
 """pixels that map_saver writes for unknown and free cells"""
-_LONGEST = 1 << 16  # characters
-_LONGEST_NAME = 1000
-_MOST_LISTS = 20
+_MOST_BYTES = 1 << 14  # of the fields; YAML is slow on nested lists
+_Origin = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 # Largest distance of a corner of the cells' outline from the simplified outline.
 _TOLERANCE_CELLS = 0.5
@@ -33,25 +32,18 @@ _DEVIATION_COST = 3.0
 _LOOK_AHEAD = 2000
 
 
-Origin = Annotated[float, Field(ge=-1e6, le=1e6)]
-
-
-def _lower(text: Any) -> Any:
-    return text.lower() if isinstance(text, str) else text
-
-
 class _Map(BaseModel):
     """The fields of a map, whose values are text."""
 
-    image: Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
+    image: Annotated[str, Field(min_length=1)]
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]
     """metres a cell"""
-    origin: tuple[Origin, Origin, Origin]
+    origin: tuple[_Origin, _Origin, _Origin]
     """x, y and yaw of the lower left corner"""
-    negate: Annotated[Literal["0", "1", "false", "true"], BeforeValidator(_lower)]
+    negate: Literal["0", "1", "false", "true", "False", "True"]
     occupied_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
     free_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
-    mode: Annotated[Literal["trinary"], BeforeValidator(_lower)] = "trinary"
+    mode: Literal["trinary"] = "trinary"
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
@@ -66,52 +58,47 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     is missing, damaged, huge, entirely free or entirely solid.
     """
     stated = checked(_Map, _read_yaml(file))
-    image = file.parent / Path(stated.image).expanduser()
+    image = file.parent / stated.image
     values = _read_image(image)  # (H, W, channels)
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
-    occupancy = shade if stated.negate in ("1", "true") else 1.0 - shade
+    occupancy = 1.0 - shade if stated.negate in ("0", "false", "False") else shade
     is_occupied = occupancy > stated.occupied_thresh
     is_free = (occupancy < stated.free_thresh) & ~is_occupied
     saved, notes = _SAVED_UNKNOWN * channels, []
-    is_saved = {saved, _SAVED_FREE * channels} <= set(np.unique(total).tolist())
-    if is_saved and is_free[saved]:
+    if is_free[saved] and (total == saved).any() and (total == _SAVED_FREE * channels).any():
         is_free[saved] = False
         notes.append(
             f"pixels of {_SAVED_UNKNOWN} are unknown, as map_saver writes them; with free_thresh "
             f"{stated.free_thresh:g} Nav2's map_server takes them as free"
         )
-    occupied = is_occupied[total] if unknown == "free" else ~is_free[total]
-    if occupied.all() or not occupied.any():
-        raise InputError(image, f"all pixels are {'occupied' if occupied.all() else 'free'}", "some of both")
-    solid = occupied[::-1]  # the image's first row is the map's top
-    beyond = int(unknown == "wall" and _is_cut_off(solid))
+    solid = (is_occupied if unknown == "free" else ~is_free)[total[::-1]]  # the image's first row is the map's top
+    if solid.all() or not solid.any():
+        raise InputError(image, f"all pixels are {'occupied' if solid.all() else 'free'}", "some of both")
+    border = np.concatenate([solid[0], solid[-1], solid[1:-1, 0], solid[1:-1, -1]])
+    # What lies beyond the image is solid where most of its border is, and a free place is cut off there.
+    beyond = int(unknown == "wall" and 0.5 < border.mean() < 1.0)
     cells, cell_ends = outline_corners(np.pad(solid, beyond, constant_values=True))
-    check_count(str(image), 3 * len(cell_ends), f"; remove the specks, it has {len(cell_ends):,} separate obstacles")
     corners, ends = simplified(cells.astype(np.float64), cell_ends)
-    check_count(str(image), len(corners))
     following = np.arange(1, len(corners) + 1)
     following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
     corners_world = Pose(*stated.origin) @ np.asarray((corners - beyond) * stated.resolution, dtype=np.float64)
     return np.stack([corners_world, corners_world[following]], axis=1), tuple(notes)
 
 
-def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
-    """Whether what lies beyond the image (H, W) is solid: most of its border is, and a free place is cut off there."""
-    border = np.concatenate([solid[0], solid[-1], solid[1:-1, 0], solid[1:-1, -1]])
-    return bool(0.5 < border.mean() < 1.0)
-
-
 def _read_yaml(file: Path) -> Any:
     """The fields of a map as text, so that 5e-2 is a number, as in map_server."""
     import yaml
 
-    text = read_text(file)
-    if len(text) > _LONGEST or max(text.count("["), text.count("{")) > _MOST_LISTS:  # YAML is slow on nested lists
-        raise InputError("", f"found {len(text)} characters", "the fields of a map")
     try:
-        return yaml.load(text, Loader=yaml.BaseLoader)
+        if not file.is_file():
+            raise InputError("", "no such file")
+        if file.stat().st_size > _MOST_BYTES:
+            raise InputError("", f"found {file.stat().st_size:,} bytes", "the fields of a map")
+        return yaml.load(file.read_bytes(), Loader=yaml.BaseLoader)
+    except OSError as error:
+        raise InputError("", f"cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, RecursionError) as error:
         raise InputError("", f"is not YAML ({reason_of(error)})") from None
 
@@ -122,9 +109,8 @@ def _read_image(path: Path) -> NDArray[np.uint8]:
 
     try:
         if not path.is_file():
-            raise InputError(path, "no such image file")
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            raise FileNotFoundError("no such file")
+        with warnings.catch_warnings(category=Image.DecompressionBombWarning, action="error"):
             image = Image.open(path, formats=_FORMATS)
         with image:
             if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
@@ -132,12 +118,8 @@ def _read_image(path: Path) -> NDArray[np.uint8]:
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             pixels = np.asarray(image.convert("RGBA" if has_alpha else "L" if image.mode in ("1", "L") else "RGB"))
             return pixels.reshape(*pixels.shape[:2], -1)
-    except InputError:
-        raise
     except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
-        # strerror omits the file's name
-        reason = (isinstance(error, OSError) and error.strerror) or reason_of(error)
-        raise InputError(path, f"not a readable image ({reason})", f"{', '.join(_FORMATS)}") from None
+        raise InputError(path, f"not a readable image ({reason_of(error)})", f"{', '.join(_FORMATS)}") from None
 
 
 def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -6,9 +6,8 @@ with an image).
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -16,29 +15,29 @@ from typing import Literal
 import numpy as np
 
 from sixthsense.config.errors import InputError
+from sixthsense.config.files import read_table
 from sixthsense.config.sections import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.simulation.scene_files import (
     Point,
     Region,
+    SceneFile,
     ScriptedWalk,
+    checked,
     in_radians,
     ordered,
-    read_scene,
     scene_file,
     shipped_scenes,
 )
 from sixthsense.simulation.scene_grid import Bools, SceneGrid
 
-__all__ = ["InputError", "Scene", "check_placement", "load_scene", "shipped_scenes"]
+__all__ = ["InputError", "Scene", "load_scene", "shipped_scenes"]
 
 BODY_M = 0.25
 """radius of the disc that a person's body is"""
-_WALKING_CELL_M = 0.1
-_MOST_WALKING_CELLS = 25_000_000
-_FINEST_M, _MOST_CELLS = 0.02, 5_000_000
-"""of the grid in which places are checked: in a large scene its cells are larger"""
-_NO_GLASS = np.zeros((0, 2, 2))
+_WALKING_CELL_M, _FINEST_CELL_M = 0.1, 0.02
+_MOST_WALLS = 50_000
+"""every beam is compared with every wall"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -61,7 +60,7 @@ class Scene:
     """x0, y0, x1, y1 of the region of interest."""
     solid_left: bool = False
     """Whether walls are closed outlines with the solid on their left (a ROS map), so that a point can lie inside."""
-    glass: Array = field(default_factory=lambda: _NO_GLASS)
+    glass: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     """(G, 2, 2) segments that stop the robot and return no beam; read-only."""
     walkers: tuple[ScriptedWalk, ...] = ()
     """Walks of people that the file states."""
@@ -73,6 +72,12 @@ class Scene:
             segments = np.array(getattr(self, name), dtype=np.float64)
             if segments.ndim != 3 or segments.shape[1:] != (2, 2) or len(segments) < least:
                 raise InputError(name, f"expected shape (N, 2, 2) with N >= {least}, got {segments.shape}")
+            if len(segments) > _MOST_WALLS:
+                raise InputError(name, f"found {len(segments):,}", f"at most {_MOST_WALLS:,}")
+            points = segments[(segments[:, 0] == segments[:, 1]).all(axis=1), 0]
+            if len(points):
+                found = f"found one of no length at ({points[0, 0]:g}, {points[0, 1]:g})"
+                raise InputError(name, found, "two different ends")
             segments.flags.writeable = False
             object.__setattr__(self, name, segments)
 
@@ -102,9 +107,10 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
     not finite, or places the robot in a wall or outside the region.
     """
     path = scene_file(name_or_file)
+    table = read_table(path) if path.suffix.lower() == ".toml" else None
     try:
-        if path.suffix.lower() == ".toml":
-            return _stated(path)
+        if table is not None:
+            return _stated(path.stem, checked(SceneFile, table))
         from sixthsense.simulation.ros_map import read_map
 
         walls, notes = read_map(path, map_unknown)
@@ -114,112 +120,77 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
         raise error.within(path) from None
 
 
-def check_placement(
-    scene: Scene,
-    start: Pose | tuple[float, float, float] | None = None,
-    goal: Point | None = None,
-    region: Region | None = None,
-    radius: float = 0.0,
-    tour: Sequence[Point] = (),
-) -> Pose:
-    """Check a start, a goal and a tour against the walls of a loaded scene, and return the start.
+def named_goals(goal: Point | None, tour: Sequence[Point]) -> dict[str, Point]:
+    """A goal and those of a tour by their names in messages."""
+    found = {} if goal is None else {"goal": goal}
+    return found | {f"tour, entry {k}": place for k, place in enumerate(tour, 1)}
 
-    `start` (x, y, theta), `region` (x0, y0, x1, y1) and `radius` default to those of the scene (None, None, 0);
-    `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises InputError, one line naming the
-    field, for a missing start, a heading in degrees, a place where the disc of `radius` touches a wall, a goal outside
-    the region, and a region with reversed corners.
+
+def check_places(scene: Scene, places: Mapping[str, Point], radius_m: float, region: Region | None = None) -> None:
+    """Raise InputError for a place outside the region, and for one where a disc would touch a wall or be inside it.
+
+    The error names the place, whose field in the configuration or file is its key.
     """
-    radius, bounds = radius or scene.radius, ordered(region or scene.region)
-    start = scene.start if start is None else start
-    if start is None:
-        raise InputError("start", f"missing, the scene {scene.name} has none of its own", "x y theta")
-    if not isinstance(start, Pose):
-        try:
-            start = Pose(*in_radians(start))
-        except InputError as error:
-            raise error.at("start") from None
-    _check_clear("start", (start.x, start.y), scene, radius)
-    goals = [] if goal is None else [("goal", goal)]
-    for where, place in [*goals, *((f"tour, entry {k}", place) for k, place in enumerate(tour, 1))]:
-        _check_inside(where, place, bounds)
-        _check_clear(where, place, scene, radius)
-    return start
+    x0, y0, x1, y1 = region or (-math.inf, -math.inf, math.inf, math.inf)
+    for where, (x, y) in places.items():
+        found = f"found ({x:g}, {y:g}),"
+        if not (x0 <= x <= x1 and y0 <= y <= y1):
+            raise InputError(where, f"{found} outside the region", f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g}")
+        distance = float(point_segment_distance(np.array((x, y)), scene.solid).min())
+        if _is_in_wall(np.array((x, y)), scene):
+            raise InputError(where, f"{found} inside a wall, {distance:.3g} m deep", "a free place")
+        if distance <= radius_m:
+            found = f"{found} {distance:.3g} m from a wall"
+            raise InputError(where, found, f"more than the robot's radius {radius_m:g} m")
 
 
-class FreeSpace:
-    """Where a disc can be in a scene."""
+def closed_off(scene: Scene, start: Array, places: Array, radius_m: float) -> tuple[Bools, float]:
+    """(N,) to which of the places (N, 2) no way leads from `start` (2,) for a disc, and to which share of the rooms.
 
-    def __init__(self, scene: Scene, places: Array, radius_m: float) -> None:
-        """Among walls and glass, in an area that holds them and `places` (N, 2)."""
-        corners = np.concatenate([scene.solid.reshape(-1, 2), places])
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        sides = high - low + 2.0 * radius_m
-        # A long and thin area has cells in its margins above all.
-        cell_m = max(_FINEST_M, math.sqrt(float(np.prod(sides)) / _MOST_CELLS), 8.0 * float(sides.max()) / _MOST_CELLS)
-        margin = radius_m + 2.0 * cell_m
-        self.radius_m = radius_m
-        self.grid = SceneGrid(scene.solid, low - margin, high + margin, cell_m, margin)
-        # A disc is nowhere farther from a cell's centre than half a diagonal: all ways that there are lead over these.
-        self.passable: Bools = self.grid.clearance_m > radius_m - cell_m * math.sqrt(0.5)
-
-    def connected(self, start: Array, goals: Array) -> Bools:
-        """(N,) whether the disc may get from `start` (2,) to goals (N, 2)."""
-        return np.asarray(self.grid.at(self.grid.reachable(self.passable, start), goals), dtype=np.bool_)
-
-    def closed_share(self, start: Array) -> float:
-        """Share of the places where the disc fits that it cannot get to from `start` (2,), while a point could."""
-        is_open = self.grid.reachable(self.grid.clearance_m > 0.75 * self.grid.cell_m, start) & self.passable
-        own = self.grid.reachable(self.passable, start)
-        return float(1.0 - own[is_open].mean()) if is_open.any() else 0.0
+    The share is that of the area where the disc fits and to which a way leads for a point.
+    """
+    corners, margin_m = np.concatenate([scene.solid.reshape(-1, 2), start[None], places]), radius_m + 2 * _FINEST_CELL_M
+    low, high = corners.min(axis=0) - margin_m, corners.max(axis=0) + margin_m
+    grid = SceneGrid(scene.solid, low, high, _FINEST_CELL_M, margin_m)
+    # A disc is nowhere farther from a cell's centre than half a diagonal: all ways that there are lead over these.
+    fits = grid.clearance_m > radius_m - grid.cell_m * math.sqrt(0.5)
+    reached = grid.reachable(fits, start)
+    is_room = fits & grid.reachable(grid.clearance_m > 0.75 * grid.cell_m, start)
+    return ~grid.at(reached, places), float(1.0 - reached[is_room].mean()) if is_room.any() else 0.0
 
 
 def walking_grid(scene: Scene) -> tuple[SceneGrid, Bools]:
     """The grid of the region in which people walk, and (H, W) the cells in whose centres a body fits."""
-    x0, y0, x1, y1 = scene.region
-    cell_m = max(_WALKING_CELL_M, math.sqrt((x1 - x0) * (y1 - y0) / _MOST_WALKING_CELLS))
-    grid = SceneGrid(scene.solid, np.array([x0, y0]), np.array([x1, y1]), cell_m, BODY_M + cell_m)
+    low, high = np.array(scene.region).reshape(2, 2)
+    grid = SceneGrid(scene.solid, low, high, _WALKING_CELL_M, 2.0 * BODY_M)
     return grid, grid.clearance_m >= BODY_M
 
 
-def _stated(path: Path) -> Scene:
+def _stated(name: str, stated: SceneFile) -> Scene:
     """The scene of a `.toml` file."""
-    stated = read_scene(path)
-    walls = [*stated.walls, *itertools.chain(*(polygon.walls() for polygon in stated.polygons))]
-    if not walls:
+    walls, glass = (np.array(rows, dtype=np.float64).reshape(-1, 2, 2) for rows in (stated.segments(), stated.glass))
+    if not len(walls):
         raise InputError("walls", "found none", "at least one wall or polygon")
-    segments = np.array(walls).reshape(-1, 2, 2)
+    region, start = ordered(stated.region or _bounds(walls)), Pose(*in_radians(stated.start))
     scene = Scene(
-        path.stem,
-        segments,
-        Pose(*stated.start),
-        stated.radius,
-        stated.goal,
-        stated.tour,
-        ordered(stated.region or _bounds(segments)),
-        glass=np.array(stated.glass).reshape(-1, 2, 2),
-        walkers=stated.walkers,
+        name, walls, start, stated.radius, stated.goal, stated.tour, region, glass=glass, walkers=stated.walkers
     )
-    _check_inside("start", stated.start[:2], scene.region)
-    check_placement(scene, goal=scene.goal, tour=scene.tour)
-    _check_walks(scene)
+    places = {"start": (start.x, start.y), **named_goals(scene.goal, scene.tour)}
+    check_places(scene, places, scene.radius, region)
+    if scene.walkers:
+        _check_walks(scene)
     return scene
 
 
 def _check_walks(scene: Scene) -> None:
-    """Raise InputError for a way point in a wall or outside the region, and for two between which no way leads."""
-    if not scene.walkers:
-        return
+    """Raise InputError for a way point to which nobody can walk from the first one of the walk."""
     grid, free = walking_grid(scene)
     for k, walk in enumerate(scene.walkers, 1):
-        points = np.array(walk.points)
-        around = grid.reachable(free, points[0])
-        for number, (x, y) in enumerate(walk.points, 1):
-            where, found = f"walkers, entry {k}, point {number}", f"found ({x:g}, {y:g}),"
-            if not grid.at(free, np.array([x, y])):
-                allowed = f"a place with room for a body of {BODY_M:g} m"
-                raise InputError(where, f"{found} in a wall or outside the region", allowed)
-            if not grid.at(around, np.array([x, y])):
-                raise InputError(where, f"{found} to which no way leads from the first", "points that ways join")
+        reached = grid.at(grid.reachable(free, np.array(walk.points[0])), np.array(walk.points))
+        for number in np.flatnonzero(~reached).tolist():
+            found = "found ({:g}, {:g}), to which no way leads from the first".format(*walk.points[number])
+            allowed = f"a place in the region with room for a body of {BODY_M:g} m"
+            raise InputError(f"walkers, entry {k}, point {number + 1}", found, allowed)
 
 
 def _bounds(walls: Array) -> Region:
@@ -229,31 +200,9 @@ def _bounds(walls: Array) -> Region:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _check_inside(where: str, point: Point, region: Region) -> None:
-    (x, y), (x0, y0, x1, y1) = point, region
-    if not (x0 <= x <= x1 and y0 <= y <= y1):
-        raise InputError(where, f"found ({x:g}, {y:g}), outside the region", f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g}")
-
-
-def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
-    """Raise InputError for a place in a wall or too near to one."""
-    place = np.array(point, dtype=np.float64)
-    distance = float(point_segment_distance(place, scene.solid).min())
-    is_inside = _is_in_wall(place, scene)
-    if distance > radius * (1.0 + 1e-9) and not is_inside:
-        return
-    found = f"found ({point[0]:g}, {point[1]:g}), {distance:.3g} m from a wall"
-    allowed = f"more than the robot's radius {radius:g} m"
-    if is_inside:
-        found, allowed = f"found ({point[0]:g}, {point[1]:g}), inside a wall, {distance:.3g} m deep", "a free place"
-    raise InputError(where, found, allowed)
-
-
 def _is_in_wall(place: Array, scene: Scene) -> bool:
     """Whether a place (2,) lies inside the outlines of a scene whose walls have the solid on their left."""
-    if not scene.solid_left:
-        return False
     ends = scene.walls - place  # (N, 2, 2)
     cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
-    turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
-    return bool(turns > 0.5)
+    turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2.0 * math.pi)
+    return bool(scene.solid_left and turns > 0.5)
