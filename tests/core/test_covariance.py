@@ -3,10 +3,11 @@
 from collections.abc import Callable
 
 import numpy as np
+from scipy.stats import chi2
 
-from sixthsense.core.covariance import root_information
+from sixthsense.core.covariance import chi_square_quantile, root_information
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import Odometry, compose_jacobians, propagated
+from sixthsense.core.motion import Odometry, propagated
 from sixthsense.core.se2 import conjugate, move_covariance
 
 RNG = np.random.default_rng(0)
@@ -27,21 +28,14 @@ def by_end(function: Callable[[Pose], Pose], motion: Pose) -> Array:
     return np.array(moved).T / 1e-6
 
 
-def test_a_covariance_is_moved_by_the_adjoint_and_symmetric():
-    for _ in range(20):
-        cov, T_a_b = covariance(), pose()
-        moved, adjoint = move_covariance(T_a_b.triple(), cov), T_a_b.adjoint()
-        assert np.array_equal(moved, moved.T)
-        assert np.allclose(moved, adjoint @ cov @ adjoint.T)
-
-
 def test_the_motion_of_a_frame_fixed_to_another_one_has_its_covariance_moved_there():
     for _ in range(20):
         mount, motion, cov = pose(), pose(), covariance()
         conjugated = mount @ motion @ mount.inverse()
         assert np.allclose(conjugate(mount.triple(), motion.triple()), conjugated.array(), atol=1e-12)
         by = by_end(lambda m, mount=mount: mount @ m @ mount.inverse(), motion)
-        assert np.allclose(move_covariance(mount.triple(), cov), by @ cov @ by.T, rtol=1e-4, atol=1e-4)
+        moved = move_covariance(mount.triple(), cov)
+        assert np.allclose(moved, by @ cov @ by.T, rtol=1e-4, atol=1e-4) and np.array_equal(moved, moved.T)
 
 
 def test_motions_in_a_row_and_back_have_the_covariances_of_their_ends():
@@ -59,10 +53,6 @@ def test_motions_in_a_row_and_back_have_the_covariances_of_their_ends():
 def test_the_covariance_of_a_pose_after_a_motion_has_world_axes():
     for _ in range(20):
         start, motion, cov = pose(), Odometry(pose(), covariance()), covariance()
-        by_pose, by_motion = compose_jacobians(start.theta, motion.motion)
-        assert np.allclose(
-            propagated(start, cov, motion), by_pose @ cov @ by_pose.T + by_motion @ motion.cov @ by_motion.T
-        )
         turned = Odometry(start, move_covariance((0.0, 0.0, -start.theta), cov)).then(motion)
         to_world = Pose(theta=turned.motion.theta).adjoint()
         assert np.allclose(propagated(start, cov, motion), to_world @ turned.cov @ to_world.T)
@@ -77,3 +67,10 @@ def test_a_root_is_accurate_where_one_direction_is_known_and_another_is_not():
         whitened = root[0] @ (axes * np.sqrt(variances))
         assert np.allclose(whitened.T @ whitened, np.eye(3), atol=1e-4)
         assert np.allclose(root[1].T @ root[1], np.linalg.inv(covs[1]))
+
+
+def test_quantiles_are_those_of_scipy_to_the_last_bit():
+    dof = np.arange(1, 300)
+    for probability in (0.025, 0.5, 0.95, 0.999, 0.999999, 1.0):
+        assert np.array_equal(chi_square_quantile(probability, dof), chi2.ppf(probability, dof))
+        assert chi_square_quantile(probability, 3) == chi2.ppf(probability, 3)

@@ -7,14 +7,7 @@ from hypothesis import strategies as st
 
 from sixthsense.config import AssumedConfig, MotionNoise
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.motion import (
-    Odometry,
-    compose_jacobians,
-    draw,
-    odometry,
-    rk4,
-    variance,
-)
+from sixthsense.core.motion import Odometry, draw, odometry, rk4, variance
 from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms
 
 QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_position_per_sqrt_rad=0,
@@ -32,19 +25,6 @@ def test_rk4_follows_the_circle(v, w, t):
     found, exact = rk4(Pose(), v, w, t, 0.01), exact_arc(v, w, t)
     assert math.dist(found.position, exact.position) < 1e-9
     assert abs(wrap_angle(found.theta - exact.theta)) < 1e-9
-
-
-def test_the_jacobians_of_composition_agree_with_finite_differences():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        pose, motion = Pose(*rng.normal(size=3)), Pose(*rng.normal(size=3))
-        by_pose, by_motion = compose_jacobians(pose.theta, motion)
-        for k in range(3):
-            step = 1e-6 * np.eye(3)[k]
-            ahead = (Pose.from_array(pose.array() + step) @ motion).array() - (pose @ motion).array()
-            assert np.allclose(wrap_angle(ahead) / 1e-6, by_pose[:, k], atol=1e-5)
-            ahead = (pose @ motion @ Pose.from_array(step)).array() - (pose @ motion).array()
-            assert np.allclose(wrap_angle(ahead) / 1e-6, by_motion[:, k], atol=1e-5)
 
 
 @pytest.mark.parametrize("distribution", ["gaussian", "uniform"])

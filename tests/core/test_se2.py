@@ -2,20 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 import pytest
 
 from sixthsense.core.geometry import wrap_angle
-from sixthsense.core.se2 import (
-    Triple,
-    between,
-    compose,
-    inverse,
-    inverse_covariance,
-    whitening,
-    wrapped,
-)
+from sixthsense.core.se2 import Triple, between, compose, inverse, inverse_covariance, whitening, wrapped
 
 RNG = np.random.default_rng(5)
 ONE, MANY = RNG.uniform(-4, 4, size=3), RNG.uniform(-4, 4, size=(7, 3))
@@ -37,32 +28,21 @@ def assert_is(found: Triple, expected: np.ndarray) -> None:
     assert -math.pi <= found[2] < math.pi
 
 
-@numba.njit
-def in_a_kernel(a: Triple, b: Triple) -> tuple[Triple, Triple, Triple]:
-    return compose(a, b), inverse(a), between(a, b)
-
-
 def test_triples_are_composed_inverted_and_compared_as_matrices() -> None:
     for _ in range(200):
         a, b = random_triple(), random_triple()
         assert_is(compose(a, b), matrix(a) @ matrix(b))
         assert_is(inverse(a), np.linalg.inv(matrix(a)))
         assert_is(between(a, b), np.linalg.inv(matrix(a)) @ matrix(b))
-        assert in_a_kernel(a, b) == (compose(a, b), inverse(a), between(a, b))
 
 
 @pytest.mark.parametrize(("a", "b"), [(ONE, MANY), (MANY, ONE), (MANY, MANY[::-1]), (ONE, MANY[0]), (ONE, MANY[:0])])
-def test_rows_of_poses_are_composed_as_matrices(a: np.ndarray, b: np.ndarray) -> None:
+def test_rows_of_poses_are_composed_as_triples(a: np.ndarray, b: np.ndarray) -> None:
     rows = np.broadcast_shapes(a.shape, b.shape)
     pairs = list(zip(np.broadcast_to(a, rows).reshape(-1, 3), np.broadcast_to(b, rows).reshape(-1, 3), strict=True))
-    for found, expected in (
-        (compose(a, b), [matrix(tuple(x)) @ matrix(tuple(y)) for x, y in pairs]),
-        (between(a, b), [np.linalg.inv(matrix(tuple(x))) @ matrix(tuple(y)) for x, y in pairs]),
-        (compose(inverse(a), b), [np.linalg.inv(matrix(tuple(x))) @ matrix(tuple(y)) for x, y in pairs]),
-    ):
-        assert found.shape == rows
-        for row, pose in zip(found.reshape(-1, 3), expected, strict=True):
-            assert_is(tuple(row), pose)
+    for function in (compose, between, lambda x, y: compose(inverse(x), y)):
+        expected = np.array([function(tuple(x), tuple(y)) for x, y in pairs]).reshape(rows)
+        assert np.allclose(function(a, b), expected, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.3, -3.2, 7.0, np.pi, -np.pi, 3 * np.pi, -np.pi - 1e-17, np.nextafter(-np.pi, -4)])
