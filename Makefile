@@ -25,16 +25,16 @@ run: $(VENV)/package  ## see a robot explore an apartment
 	@echo "make: $(BIN)/sixthsense run apartment --out runs/first --overwrite"
 	@$(BIN)/sixthsense run apartment --out runs/first --overwrite
 
-test: $(VENV)/installed  ## what CI runs
+test: $(VENV)/installed kernels  ## what CI runs
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal
 
-test-all: $(VENV)/installed  ## the slow statistics too
+test-all: $(VENV)/installed kernels  ## the slow statistics too
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 interop: $(VENV)/installed kernels  ## live runs with a robot on Fast DDS; Debian: apt-get install libfastrtps-dev fastddsgen g++
 	$(BIN)/python -m pytest tests/interop/fast_dds.py -rs -n 0
 
-coverage: $(VENV)/installed  ## which share of the branches of each room the tests take
+coverage: $(VENV)/installed kernels  ## which share of the branches of each room the tests take
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal --cov=sixthsense --cov-branch --cov-report=
 	@for room in $(dir $(wildcard sixthsense/*/__init__.py)); do \
 		printf '%-26s' "$$room"; $(BIN)/python -m coverage report --include="$$room*" --format=total; done
@@ -42,8 +42,9 @@ coverage: $(VENV)/installed  ## which share of the branches of each room the tes
 notebooks: $(VENV)/installed  ## run every notebook, as CI does, longer cells cut short; none is rewritten
 	SIXTHSENSE_LONG=0 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
 
-kernels: $(VENV)/installed  ## compile the Numba kernels once, before two processes each do
-	$(BIN)/python -c "from sixthsense.running.warmup import warm_up, warm_up_scans; warm_up(); warm_up_scans()"
+kernels: $(VENV)/installed  ## compile the Numba kernels, which several processes then share
+	@$(BIN)/python -c "from sixthsense.running.warmup import warm_up; warm_up()" & \
+		$(BIN)/python -c "from sixthsense.running.warmup import warm_up_scans; warm_up_scans()"; wait
 
 check: $(VENV)/installed  ## style, types, imports, structure and budget of code lines
 	$(BIN)/ruff check .
@@ -52,8 +53,8 @@ check: $(VENV)/installed  ## style, types, imports, structure and budget of code
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -q -n 0 tests/test_house.py
 
-mutants: $(VENV)/installed  ## FILE=, a file or a folder of the package: which small wrong changes of it does no test see? SINCE=REV SAMPLE=N SEED=S
-	$(BIN)/python tests/mutants.py $(FILE) $(if $(SINCE),--since $(SINCE)) $(if $(SAMPLE),--sample $(SAMPLE)) $(if $(SEED),--seed $(SEED))
+mutants: $(VENV)/installed  ## FILE=, a file or a folder of the package: which small wrong changes of it does no test see? SAMPLE=N SEED=S
+	$(BIN)/python tests/mutants.py $(FILE) $(if $(SAMPLE),--sample $(SAMPLE)) $(if $(SEED),--seed $(SEED))
 
 bench: $(VENV)/installed kernels  ## speed of the hot loops beside peers and limits; 2 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/suite.py speed

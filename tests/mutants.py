@@ -1,6 +1,6 @@
 """Make small wrong changes to the code, one at a time, and see whether the tests of the room fail; `make mutants`.
 
-    python tests/mutants.py PATH... [--since REV] [--sample N] [--seed S] [--out FILE]
+    python tests/mutants.py PATH... [--sample N] [--seed S] [--out FILE]
 
 A path is a file or a folder of the package. Two processes work, each in a copy of the tree. A result is a line of JSON
 in FILE. It is kept: a kill while the mutated text is the same, a survivor while the tests are the same too.
@@ -204,43 +204,33 @@ def outcome(copy: Path, trial: Trial, limit: float) -> str:
             kernel.rename(kernel.with_suffix(""))
 
 
-def lines_since(revision: str, path: str) -> set[int]:
-    """Numbers of the lines of a file that have changed since a commit."""
-    command = ["git", "diff", "--unified=0", revision, "--", path]
-    hunks = re.findall(r"^@@ .* \+(\d+),?(\d*) @@", subprocess.check_output(command, cwd=ROOT, text=True), re.MULTILINE)
-    return {int(first) + i for first, count in hunks for i in range(int(count or 1))}
-
-
 def digest(*texts: str) -> str:
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()[:16]
 
 
-def mutants(paths: list[str], since: str | None) -> list[dict[str, Any]]:
+def mutants(paths: list[str]) -> list[dict[str, Any]]:
     """All mutants of the files: where they are, what their result depends on, and the trial."""
     files = {file for one in map(Path, paths) for file in (one.rglob("*.py") if one.is_dir() else [one])}
     found = []
     for path in sorted(str(file.resolve().relative_to(ROOT)) for file in files):
         text, tests, source = (ROOT / path).read_text(), tests_of(path), (ROOT / path).read_bytes()
         key = {"tests": digest(*((ROOT / one).read_text() for one in tests))}
-        changed = since and lines_since(since, path)
         for (begin, end, new, kind), compiled in changes(text).items():
             mutated, line = (source[:begin] + new + source[end:]).decode(), source[:begin].count(b"\n") + 1
-            if changed is None or line in changed:
-                key["mutant"] = digest(path, mutated)
-                trial = path, text, mutated, compiled, tests
-                found.append({"where": f"{path}:{line}", "kind": kind, **key, "trial": trial})
+            key["mutant"] = digest(path, mutated)
+            trial = path, text, mutated, compiled, tests
+            found.append({"where": f"{path}:{line}", "kind": kind, **key, "trial": trial})
     return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("paths", nargs="*", default=[PACKAGE])
-    parser.add_argument("--since", metavar="REV", help="only lines that have changed since this commit")
     parser.add_argument("--sample", type=int, metavar="N", help="so many at random (default: all)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=ROOT / "runs/mutants.jsonl")
     chosen = parser.parse_args()
-    found = mutants(chosen.paths, chosen.since)
+    found = mutants(chosen.paths)
     if chosen.sample is not None and chosen.sample < len(found):
         found = sorted(random.Random(chosen.seed).sample(found, chosen.sample), key=lambda one: str(one["where"]))
     chosen.out.parent.mkdir(parents=True, exist_ok=True)

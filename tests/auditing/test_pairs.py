@@ -1,4 +1,4 @@
-"""Two systems without a truth: what is told of errors drawn from known covariances, and how often."""
+"""Errors of known covariances: what is told of a system beside a truth, and of two without one, and how often."""
 
 import math
 
@@ -31,6 +31,46 @@ def truth(count):
 def system(count, error, cov=COV):
     stamps, poses = truth(count)
     return stamps, poses + error, np.broadcast_to(cov, (count, 3, 3))
+
+
+N = 4000
+STAMPS, TRUTH = truth(N)
+
+
+def audited(error, cov=COV, **options):
+    return ss.audit(system(N, error, cov), (STAMPS, TRUTH), **options)
+
+
+@pytest.mark.parametrize(("scale", "outcome"), [(0.5, "overconfident"), (1.0, "consistent"), (2.0, "cautious")])
+@pytest.mark.parametrize("rho", [0.0, 0.95])
+def test_the_verdict_and_the_factor_are_right_for_white_and_for_correlated_errors(rho, scale, outcome):
+    found = audited(errors(np.random.default_rng(1), N, rho), scale * COV)
+    assert found.outcome == outcome and found.verdict.startswith(outcome)
+    low, high = found.findings.pose.interval
+    assert low < 1.0 / scale < high
+    assert found.findings.pose.samples < (1.05 * N if rho == 0.0 else 0.1 * N)
+
+
+@pytest.mark.parametrize(("true", "read"), [("body", "world"), ("world", "body")])
+def test_the_wrong_frame_is_noticed_since_the_nees_depends_on_the_heading(true, read):
+    c, s = np.cos(TRUTH[:, 2]), np.sin(TRUTH[:, 2])
+    error = errors(np.random.default_rng(5), N)
+    if true == "body":
+        error = np.column_stack([c * error[:, 0] - s * error[:, 1], s * error[:, 0] + c * error[:, 1], error[:, 2]])
+    assert f"may have the axes of the {true}" in repr(audited(error, frame=read))
+    assert "depends on the heading" not in repr(audited(error, frame=true))
+    isotropic = np.diag([0.01, 0.01, 1e-4])
+    error = errors(np.random.default_rng(0), N, cov=isotropic)
+    assert "depends on the heading" not in repr(audited(error, isotropic, frame=read))
+
+
+def test_the_degrees_of_freedom_of_an_alignment_are_taken_off():
+    """Of short runs with white errors: without it the mean NEES of 40 poses would be 2.93."""
+    runs = [system(40, errors(np.random.default_rng(k), 40)) for k in range(150)]
+    found = ss.audit(runs, [truth(40)] * 150, align="all")
+    plain = float(np.mean(np.concatenate([run.nees for run in found.runs])))
+    assert plain == pytest.approx(3.0 * (1.0 - 1.0 / 40), abs=0.07)
+    assert found.findings.pose.nees == pytest.approx(plain / (1.0 - found.findings.removed)) != plain
 
 
 def moved(system, motion):

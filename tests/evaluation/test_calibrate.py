@@ -1,7 +1,5 @@
 """What a calibration is told by, and that it recovers the noise of a world."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -21,7 +19,6 @@ from sixthsense.evaluation.calibrate import (
     propagation_errors,
     summary,
 )
-from sixthsense.running.warmup import warm_up
 from sixthsense.simulation.scene import load_scene
 
 # Fewer ticks a second than usual, for speed.
@@ -34,14 +31,9 @@ WORLDS = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    warm_up()
-
-
 @pytest.fixture(scope="module")
-def found() -> dict[str, list[Calibration]]:
-    return {name: [calibrate(c.replaced(seed=s)) for s in range(2)] for name, c in WORLDS.items()}
+def found() -> dict[str, Calibration]:
+    return {name: calibrate(config) for name, config in WORLDS.items()}
 
 
 def driven(config: Config, samples: int = 100):
@@ -66,23 +58,20 @@ def test_the_calibration_drive_turns_left_and_moves(name: str, scene: str) -> No
 @pytest.mark.parametrize("name", WORLDS)
 def test_nees_after_calibration_is_chi_square_distributed(found, name: str) -> None:
     """The likeliest covariance makes the mean NEES the dimension; single samples follow the distribution."""
-    for one in found[name]:
-        motion, landmarks = one.propagation[1], one.landmarks[1]
-        assert motion.nees.mean() == pytest.approx(3.0, abs=0.15)
-        assert 0.86 <= np.mean(motion.nees < chi2.ppf(0.95, 3)) <= 1.0
-        assert landmarks.mean_nees == pytest.approx(2.0, abs=0.05)
-        assert 0.90 <= np.mean(landmarks.nees < chi2.ppf(0.95, 2)) <= 0.99
+    motion, landmarks = found[name].propagation[1], found[name].landmarks[1]
+    assert motion.nees.mean() == pytest.approx(3.0, abs=0.15)
+    assert 0.86 <= np.mean(motion.nees < chi2.ppf(0.95, 3)) <= 1.0
+    assert landmarks.mean_nees == pytest.approx(2.0, abs=0.05)
+    assert 0.90 <= np.mean(landmarks.nees < chi2.ppf(0.95, 2)) <= 0.99
 
 
 def test_the_calibration_recovers_the_noise_of_the_world(found) -> None:
-    for one in found["turns"]:
-        assert one.assumed.motion.turn_rate == pytest.approx(0.4, rel=0.25)
-        assert one.propagation[0].nees.mean() > 5.0
-    for one in found["laser"]:
-        assert one.assumed.laser.range_m == pytest.approx(0.03, rel=0.15)
-        assert one.landmarks[0].mean_nees > 3.0
-    for one in found["default"]:
-        assert one.assumed.laser.range_m == pytest.approx(0.01, rel=0.1)
+    turns, laser = found["turns"], found["laser"]
+    assert turns.assumed.motion.turn_rate == pytest.approx(0.4, rel=0.25)
+    assert turns.propagation[0].nees.mean() > 5.0
+    assert laser.assumed.laser.range_m == pytest.approx(0.03, rel=0.15)
+    assert laser.landmarks[0].mean_nees > 3.0
+    assert found["default"].assumed.laser.range_m == pytest.approx(0.01, rel=0.1)
 
 
 def test_drift_of_unequal_wheels_is_estimated() -> None:
@@ -132,26 +121,23 @@ def test_errors_of_odometry_are_those_of_the_true_motion_in_the_axes_of_its_end_
     assert found.errors[0] == pytest.approx([0.03 * c - 0.02 * s, -0.03 * s - 0.02 * c, 2.0 * np.pi - 3.0 - 3.1])
 
 
-def test_the_summary_has_means_before_and_after_and_second_moments_about_zero():
+def test_the_summary_and_the_table_have_the_numbers_of_the_calibration():
     before, after = made(3.0), made(1.2)
     systematic = {"wheel_scale_error": (0.0123, 0.002), "drift_rad_per_m": (0.004, 0.003)}
     config = preset("worn")
     assumed = merge(config.assumed, {"wheel_scale_error": 0.0123, "drift_rad_per_m": 0.0})
     found = Calibration(assumed, systematic, (before[0], after[0]), (before[1], after[1]))
     lines = summary(found)
-    numbers = [[float(one) for one in re.findall(r"(?<![\w^])-?\d+\.?\d*", line.replace("mm^2", ""))] for line in lines]
-    scaled = [nees(scale * ERRORS, COVS).mean() for scale in (3.0, 1.2)]
-    assert numbers[0] == pytest.approx([40, *scaled, 3], abs=0.005)
+    scaled = [f"{nees(scale * ERRORS, COVS).mean():.2f}" for scale in (3.0, 1.2)]
+    assert all(number in lines[0] for number in scaled)
     assert lines[1:3] == ["wheel_scale_error: 0.0123 +- 0.0020, kept",
                           "drift_rad_per_m: 0.0040 +- 0.0030, set to 0: within 3 sigma"]  # fmt: skip
-    assert numbers[3] == pytest.approx([40, before[1].mean_nees, 40, after[1].mean_nees, 2], abs=0.005)
-    for k, kind in ((4, Kind.CORNER), (5, Kind.END)):
+    for line, kind in ((lines[4], Kind.CORNER), (lines[5], Kind.END)):
         mm = 1200.0 * ERRORS[kind == KINDS, :2]
-        moment = sum(np.outer(row, row) for row in mm) / len(mm)
-        assert numbers[k] == pytest.approx([len(mm), moment[0, 0], moment[0, 1], moment[1, 1]], abs=0.05)
+        moment = sum(np.outer(row, row) for row in mm) / len(mm)  # about zero
+        assert all(f"{moment[at]:.1f}" in line for at in ((0, 0), (0, 1), (1, 1)))
     table = as_partial_config(found, config)
     assert merge(Config(), {"assumed": table["assumed"]}).assumed.motion == assumed.motion
-    assert set(table["assumed"]) == {"wheel_scale_error", "drift_rad_per_m", "landmark_floor_m", "motion", "laser"}
     assert table["assumed"]["laser"]["range_m"] == as_table(assumed)["laser"]["range_m"]
 
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
+import pytest
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import Estimate
+
+
+def slow_but(quick: Any, every: Iterable[Any]) -> list[Any]:
+    """Parameters of a test over all of them that is slow but for one."""
+    return [one if one == quick else pytest.param(one, marks=pytest.mark.slow) for one in every]
 
 
 def normalised(error: Array, cov: Array) -> float:

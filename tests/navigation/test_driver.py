@@ -14,41 +14,21 @@ from sixthsense.navigation.driver import Drive, Driver, DriverLimits, advanced, 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
 
 
-class Follower:
-    """Follows a path tick by tick, as a drive does."""
-
-    def __init__(self, follow: FollowConfig, robot: RobotConfig) -> None:
-        self._limits = DriverLimits.of(Config(follow=follow, robot=robot))
-
-    def follow(self, path: Array) -> None:
-        self._path, self._next, self._is_driving = path, 1, False
-
-    @property
-    def left(self) -> int:
-        return len(self._path) - self._next
-
-    def step(self, pose: Pose) -> Command:
-        at = pose.x, pose.y, pose.theta
-        found = followed(self._path, self._next, self._is_driving, at, self._limits)
-        speed, turn_rate, self._next, self._is_driving = found
-        return Command(speed, turn_rate)
-
-
 places = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 
 
-def drive(
-    follower: Follower, pose: Pose, robot: RobotConfig = ROBOT, ticks: int = 20_000
-) -> list[tuple[Pose, Command]]:
-    """Poses before, and commands of, each tick of a drive without noise, until the follower stands still."""
-    rows = []
-    for _ in range(ticks):
-        command = follower.step(pose)
-        rows.append((pose, command))
-        if command == Command():
-            return rows
-        pose = rk4(pose, command.speed, command.turn_rate, robot.control_period_s, 0.01)
-    raise AssertionError("the follower never stood still")
+def drive(path: Array, pose: Pose, follow: FollowConfig = FOLLOW, robot: RobotConfig = ROBOT) -> tuple[Array, Array]:
+    """(T, 3) poses before, and (T, 2) commands of, each tick of a drive without noise, until the robot stands still."""
+    limits, rows = DriverLimits.of(Config(follow=follow, robot=robot)), []
+    at, is_driving = 1, False
+    while len(rows) < 20_000:
+        speed, turn_rate, at, is_driving = followed(path, at, is_driving, (pose.x, pose.y, pose.theta), limits)
+        rows.append((*pose.triple(), speed, turn_rate))
+        if speed == turn_rate == 0.0:
+            assert at == len(path)
+            return np.array(rows)[:, :3], np.array(rows)[:, 3:]
+        pose = rk4(pose, speed, turn_rate, robot.control_period_s, 0.01)
+    raise AssertionError("the robot never stood still")
 
 
 OWN = DriverLimits(
@@ -169,21 +149,16 @@ def test_a_search_that_goes_on_is_not_begun_anew_and_a_path_ends_it() -> None:
 def test_every_way_point_of_any_path_is_reached_in_order_and_the_robot_stays_near_the_path(
     path: list[tuple[float, float]], theta: float
 ) -> None:
-    follower = Follower(FOLLOW, ROBOT)
     corners = np.array([(0.0, 0.0), *path])
-    follower.follow(corners)
-    rows = drive(follower, Pose(0.0, 0.0, theta))
-    for _, command in rows:
-        assert 0.0 <= command.speed <= ROBOT.speed
-        assert abs(command.turn_rate) <= ROBOT.turn_rate
-    positions = np.array([pose.position for pose, _ in rows])
+    poses, commands = drive(corners, Pose(0.0, 0.0, theta))
+    assert (commands[:, 0] >= 0.0).all() and (np.abs(commands) <= [ROBOT.speed, ROBOT.turn_rate]).all()
+    positions = poses[:, :2]
     assert off_path(positions, corners).max() < 0.1
     at = 0
     for point in path:
         near = np.flatnonzero(np.linalg.norm(positions[at:] - point, axis=1) <= FOLLOW.distance_slack_m)
         assert len(near), f"{point} was passed over"
         at += int(near[0])
-    assert follower.left == 0
 
 
 def off_path(points: Array, corners: Array) -> Array:
@@ -197,8 +172,7 @@ def off_path(points: Array, corners: Array) -> Array:
 @pytest.mark.parametrize("control_period_s", [0.1, 0.5, 2.0])
 def test_a_slow_control_loop_overshoots_no_way_point(control_period_s: float) -> None:
     robot = RobotConfig(control_period_s=control_period_s)
-    follower = Follower(FollowConfig(heading_slack_rad=1e-6, distance_slack_m=1e-6), robot)
-    follower.follow(np.array([[0.0, 0.0], [1.3, 0.0], [1.3, 0.7]]))
-    poses = [pose for pose, _ in drive(follower, Pose(), robot)]
-    assert max(pose.x for pose in poses) == pytest.approx(1.3, abs=1e-5)
-    assert poses[-1].position == pytest.approx([1.3, 0.7], abs=1e-5)
+    exact = FollowConfig(heading_slack_rad=1e-6, distance_slack_m=1e-6)
+    poses, _ = drive(np.array([[0.0, 0.0], [1.3, 0.0], [1.3, 0.7]]), Pose(), exact, robot)
+    assert poses[:, 0].max() == pytest.approx(1.3, abs=1e-5)
+    assert poses[-1, :2] == pytest.approx([1.3, 0.7], abs=1e-5)

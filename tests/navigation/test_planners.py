@@ -1,3 +1,4 @@
+import itertools
 import math
 from collections.abc import Callable
 from itertools import pairwise
@@ -12,6 +13,7 @@ from sixthsense.navigation.planners import PLANNERS, Plan, Planner, make_planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import is_free, shortcut
 from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.testing import planner_checks
 
 CELL = 0.1
 ORIGIN = (-1.3, 2.1)
@@ -46,26 +48,7 @@ def blocks(rng: np.random.Generator) -> Array:
     return blocked
 
 
-def maze(rng: np.random.Generator) -> Array:
-    """A perfect maze (depth-first) with a few walls removed, so that several paths differ in length."""
-    blocked = np.ones((31, 31), dtype=bool)
-    stack = [(1, 1)]
-    blocked[1, 1] = False
-    while stack:
-        r, c = stack[-1]
-        steps = [(r + a, c + b) for a, b in ((0, 2), (0, -2), (2, 0), (-2, 0))]
-        steps = [(p, q) for p, q in steps if 0 < p < 31 and 0 < q < 31 and blocked[p, q]]
-        if not steps:
-            stack.pop()
-            continue
-        p, q = steps[rng.integers(len(steps))]
-        blocked[p, q] = blocked[(r + p) // 2, (c + q) // 2] = False
-        stack.append((p, q))
-    blocked[rng.integers(1, 30, 25), rng.integers(1, 30, 25)] = False
-    return blocked
-
-
-WORLDS = [noise, blocks, maze]
+WORLDS = [noise, blocks]
 
 
 def random_free_point(rng: np.random.Generator, space: FreeSpace) -> Array:
@@ -90,37 +73,29 @@ def path_is_free(space: FreeSpace, path_world: Array) -> bool:
 
 
 # Small worlds with narrow passages: short steps, and more of them than there are cells.
-VARIANTS = {
-    "astar": ("astar", None),
-    "rrtstar": ("rrtstar", RRTStarConfig(informed=False, iterations=2000)),
-    "informed-rrtstar": ("rrtstar", RRTStarConfig(informed=True, iterations=2000)),
-}
+SAMPLES = 2000
 
 
-@pytest.fixture(params=VARIANTS)
-def variant(request: pytest.FixtureRequest) -> str:
-    name: str = request.param
-    return name
+@pytest.fixture(params=PLANNERS)
+def planner(request: pytest.FixtureRequest) -> Planner:
+    options = RRTStarConfig(iterations=SAMPLES) if request.param == "rrtstar" else None
+    return make_planner(request.param, options=options)
 
 
-@pytest.fixture
-def planner(variant: str) -> Planner:
-    name, options = VARIANTS[variant]
-    return make_planner(name, options=options)
+LAWS = {f"{part}: {name}": check for part in PLANNERS for name, check in planner_checks(part)}
 
 
-def test_the_contract_is_tested_for_every_planner() -> None:
-    assert {name for name, _ in VARIANTS.values()} == set(PLANNERS)
+@pytest.mark.parametrize("law", [law if "astar" in law else pytest.param(law, marks=pytest.mark.slow) for law in LAWS])
+def test_shipped_planners_keep_the_laws_of_their_contract(law: str) -> None:
+    LAWS[law]()
 
 
-# The contract of every planner, by the numbers of its docstring.
-
-
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("world", WORLDS)
 def test_a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(
-    planner: Planner, variant: str, world: Callable[[np.random.Generator], Array], seed: int
+    planner: Planner, world: Callable[[np.random.Generator], Array], seed: int
 ) -> None:
+    """By a dense look-up of its own; the numbers are those of the contract."""
     rng = np.random.default_rng(seed)
     blocked = world(rng)
     space = space_of(blocked, dear(rng, blocked))
@@ -128,9 +103,9 @@ def test_a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(
     plan = planner.plan(space, start, goal)
     regions, _ = label(~space.blocked)
     joined = regions[space.cell_of(start)] == regions[space.cell_of(goal)]
-    if joined and variant != "astar" and plan.status == "gave up":
+    if joined and not isinstance(planner, AStar) and plan.status == "gave up":
         assert_without_path(plan, "gave up")  # 5: a path through a maze takes more samples than the budget
-        assert plan.expanded == 2000
+        assert plan.expanded == SAMPLES
         return
     assert plan.status == ("found" if joined else "no path")
     if not joined:
@@ -140,12 +115,9 @@ def test_a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(
     assert not touches_blocked(space, path) and path_is_free(space, path)  # 2
     length = np.hypot(*np.diff(path, axis=0).T).sum()
     assert plan.length_m == pytest.approx(length) and length - 1e-9 <= plan.cost <= 3.5 * length + 1e-9  # 3
-    assert plan.found
-    with pytest.raises(ValueError, match="read-only"):
-        path[0] = 0.0
 
 
-def test_start_and_goal_may_lie_outside_the_known_grid(planner: Planner, variant: str) -> None:
+def test_start_and_goal_may_lie_outside_the_known_grid(planner: Planner) -> None:
     space = space_from_text("""
         .......
         .#####.
@@ -154,14 +126,13 @@ def test_start_and_goal_may_lie_outside_the_known_grid(planner: Planner, variant
         ...#...
         """)
     outside = [(3.0, 7.0), (-6.0, 2.32), (-0.97, -1.0), (-0.97, 2.35)]
-    for start in outside:
-        for goal in outside:
-            plan = planner.plan(space, start, goal)
-            if variant != "astar" and plan.status == "gave up":
-                assert outside[3] in (start, goal)  # behind a gap of one cell in thousands
-                continue
-            assert plan.found and (plan.path_world[[0, -1]] == [start, goal]).all()
-            assert not touches_blocked(space, plan.path_world)
+    for start, goal in itertools.product(outside, outside):
+        plan = planner.plan(space, start, goal)
+        if not isinstance(planner, AStar) and plan.status == "gave up":
+            assert outside[3] in (start, goal)  # behind a gap of one cell in thousands
+            continue
+        assert plan.found and (plan.path_world[[0, -1]] == [start, goal]).all()
+        assert not touches_blocked(space, plan.path_world)
     empty = FreeSpace(np.zeros((0, 0), dtype=bool), np.zeros((0, 0), dtype=bool), (0.0, 0.0), CELL)
     assert planner.plan(empty, (5.0, 5.0), (7.0, 4.0)).found
 
@@ -171,24 +142,17 @@ def assert_without_path(plan: Plan, status: str) -> None:
     assert plan.path_world.shape == (0, 2) and plan.cost == math.inf
 
 
-def test_what_stands_in_the_way_is_named(planner: Planner) -> None:
+def test_a_place_that_is_walled_in_has_no_path_to_it_or_from_it(planner: Planner) -> None:
     space = space_from_text("""
         .......
         .#####.
         .#...#.
-        .#.#.#.
-        .#...#.
         .#####.
-        .......
         """)
-    outside, inside, wall, pillar = (space.centre(*cell) for cell in ((0, 0), (2, 2), (1, 3), (3, 3)))
-    assert_without_path(planner.plan(space, wall, outside), "start blocked")
-    assert_without_path(planner.plan(space, wall, pillar), "start blocked")
-    assert_without_path(planner.plan(space, inside, pillar), "goal blocked")
-    assert_without_path(planner.plan(space, (50.0, 50.0), pillar), "goal blocked")
-    assert_without_path(planner.plan(space, outside, inside), "no path")
-    assert_without_path(planner.plan(space, inside, outside), "no path")
-    assert_without_path(planner.plan(space, inside, (5.0, -5.0)), "no path")
+    outside, inside, wall = (space.centre(*cell) for cell in ((0, 0), (1, 3), (2, 3)))
+    for start, goal in ((outside, inside), (inside, outside), (inside, (5.0, -5.0))):
+        assert_without_path(planner.plan(space, start, goal), "no path")
+    assert_without_path(planner.plan(space, (50.0, 50.0), wall), "goal blocked")
 
 
 def test_a_start_that_is_the_goal_is_a_path_of_no_length(planner: Planner) -> None:
@@ -198,8 +162,7 @@ def test_a_start_that_is_the_goal_is_a_path_of_no_length(planner: Planner) -> No
         """)
     for point in ((-1.0, 2.13), space.centre(0, 1), (90.0, -90.0)):
         plan = planner.plan(space, point, point)
-        assert plan.found and plan.cost == 0.0
-        assert np.array_equal(plan.path_world, [point, point])
+        assert plan.found and plan.cost == 0.0 and np.array_equal(plan.path_world, [point, point])
     near = planner.plan(space, (-1.13, 2.11), (-1.19, 2.18))
     assert near.found and near.cost == pytest.approx(math.hypot(0.06, 0.07))
 
@@ -212,31 +175,12 @@ def test_a_start_on_the_edge_of_a_blocked_cell_gives_a_free_path(planner: Planne
     assert plan.found and path_is_free(space, plan.path_world)
 
 
-def test_the_same_question_has_the_same_answer(planner: Planner, variant: str) -> None:
-    rng = np.random.default_rng(11)
-    for world in WORLDS:
-        space = space_of(world(rng))
-        start, goal = random_free_point(rng, space), random_free_point(rng, space)
-        first, again = planner.plan(space, start, goal), planner.plan(space, start, goal)
-        name, options = VARIANTS[variant]
-        other = make_planner(name, options=options).plan(space, start, goal)
-        assert first.status == again.status == other.status and first.expanded == other.expanded
-        assert np.array_equal(first.path_world, again.path_world)
-        assert np.array_equal(first.path_world, other.path_world)
-
-
 @pytest.mark.parametrize("bad", [(1.0,), (1.0, 2.0, 3.0), (math.nan, 0.0), (0.0, -math.inf)])
 def test_a_start_or_goal_that_is_no_point_is_refused_by_name(planner: Planner, bad: tuple[float, ...]) -> None:
     space = space_of(np.zeros((3, 3), dtype=bool))
-    with pytest.raises(ValueError, match="start"):
-        planner.plan(space, bad, (0.0, 0.0))
-    with pytest.raises(ValueError, match="goal"):
-        planner.plan(space, (0.0, 0.0), bad)
-
-
-def test_an_unknown_planner_lists_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"found 'dstar', did you mean astar\? allowed: astar, rrtstar"):
-        make_planner("dstar")
+    for named, ends in (("start", (bad, (0.0, 0.0))), ("goal", ((0.0, 0.0), bad))):
+        with pytest.raises(ValueError, match=named):
+            planner.plan(space, *ends)
 
 
 # A*
@@ -258,7 +202,7 @@ def test_a_star_does_not_squeeze_between_two_cells_that_meet_at_a_corner() -> No
 # Short cuts
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("world", WORLDS)
 def test_a_short_cut_keeps_the_ends_touches_nothing_and_costs_no_more(
     world: Callable[[np.random.Generator], Array], seed: int

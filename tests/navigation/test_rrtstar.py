@@ -30,27 +30,6 @@ def plan_of(space: FreeSpace, start: Array, goal: Array, seed: int = 0, range_m:
 
 
 @BOTH
-def test_around_a_box_the_path_is_nearly_as_short_as_any_can_be(informed: bool) -> None:
-    space = box()
-    start, goal = space.centre(20, 5), space.centre(20, 34)
-    # A path around the upper left and right corners of the box.
-    left, right = (np.array(space.origin) + np.array([col, 30]) * CELL for col in (15, 25))
-    shortest = math.dist(start, left) + math.dist(left, right) + math.dist(right, goal)
-    plan = plan_of(space, start, goal, informed=informed, iterations=3000, range_m=1.0)
-    assert shortest < plan.cost < 1.03 * shortest
-    assert plan.expanded == 3000
-
-
-@BOTH
-def test_the_same_seed_gives_the_same_path_and_another_seed_another(informed: bool) -> None:
-    space = box()
-    start, goal = space.centre(20, 5), space.centre(20, 34)
-    first, other, again = (plan_of(space, start, goal, seed, informed=informed, iterations=800) for seed in (0, 1, 0))
-    assert np.array_equal(first.path_world, again.path_world) and first.cost == again.cost
-    assert not np.array_equal(first.path_world, other.path_world)
-
-
-@BOTH
 def test_a_budget_that_ends_without_a_path_is_named_as_such(informed: bool) -> None:
     space = box()
     plan = plan_of(space, space.centre(20, 5), space.centre(20, 34), informed=informed, iterations=2)
@@ -59,14 +38,7 @@ def test_a_budget_that_ends_without_a_path_is_named_as_such(informed: bool) -> N
 
 
 @BOTH
-def test_a_straight_path_takes_no_iterations(informed: bool) -> None:
-    space = box()
-    plan = plan_of(space, space.centre(2, 5), space.centre(5, 34), informed=informed, iterations=1)
-    assert plan.found and len(plan.path_world) == 2 and plan.expanded == 0
-
-
-@BOTH
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_among_blocks_there_is_a_path_where_a_star_finds_one(informed: bool, seed: int) -> None:
     rng = np.random.default_rng(seed)
     space = space_of(WORLDS[1](rng))

@@ -58,7 +58,7 @@ def test_the_trajectory_has_all_poses_and_the_graph_those_that_are_kept():
 
 def test_pose_and_map_are_consistent_with_poses_taken_out():
     rows = []
-    for seed in range(16):
+    for seed in range(8):
         smoother, truth, _ = circling(seed, 80, True)
         estimate, joint = joint_state(smoother)
         whole = error_of(estimate, Pose.from_array(truth[-1]), LANDMARKS)

@@ -8,6 +8,7 @@ import functools
 
 import numpy as np
 import pytest
+from laws.nees import slow_but
 from laws.short_tours import driven, replayed, short_tour
 
 from sixthsense.core.geometry import Pose
@@ -39,7 +40,7 @@ def run_nees(estimator, assumed_cov):
     return np.array(rows)
 
 
-@pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
+@pytest.mark.parametrize("estimator", slow_but("ekf-invariant", ["ekf-invariant", "isam2"]))
 def test_runs_from_starts_drawn_from_their_covariance_are_consistent_from_the_first_keyframe_on(estimator):
     rows = run_nees(estimator, START_COV)
     low, high = nees_band(len(rows), confidence=0.999)

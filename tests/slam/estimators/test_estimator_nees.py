@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from laws.nees import assert_consistent, error_of, normalised
+from laws.nees import assert_consistent, error_of, normalised, slow_but
 from point_world import POINTS, joint_state, make, noisy, sight, step
 from predicted import predict_points
 from scipy.stats import chi2
@@ -36,7 +36,7 @@ def short_drive(name, seed, steps=50, sigma=0.03):
     return normalised(error[:3], joint[:3, :3]), normalised(error, joint), nis, dof
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
+@pytest.mark.parametrize("name", slow_but("isam2", ESTIMATORS))
 def test_on_short_drives_pose_map_and_innovations_are_consistent(name):
     """40 runs; with little rotation the standard filter is consistent, too."""
     runs = 40

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from laws.nees import assert_consistent, error_of, normalised
+from laws.nees import assert_consistent, error_of, normalised, slow_but
 from laws.parameters import KINDS
 
 import sixthsense as ss
@@ -13,7 +13,7 @@ from sixthsense.slam.estimators.ekf import EKF
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.label)
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", slow_but("ekf-invariant", FILTERS))
 def test_with_values_from_the_prior_pose_and_parameters_are_consistent(name, kind):
     """Each run with other values."""
     of_pose, of_parameters = [], []

@@ -132,9 +132,9 @@ def test_with_a_sweep_the_estimate_is_consistent_only_if_de_skewed() -> None:
     for on in (True, False):
         changes = {"laser": {"sweep_s": 0.1}, "features": {"landmarks": "both", "deskew": on}}
         nees = []
-        for seed in range(3):
+        for seed in range(2):
             config = preset(
-                scene="rectangle", task="tour", max_time=20.0, seed=seed, estimator="ekf-invariant", **changes
+                scene="rectangle", task="tour", max_time=15.0, seed=seed, estimator="ekf-invariant", **changes
             )
             trace = run(config)
             estimates = trace.key_estimates[5:]
