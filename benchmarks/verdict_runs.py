@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from damaged_logs import DAMAGES
+from repetition_scenes import SCENES, log_of
 from runs import data_path, replay
 from worlds import world
 from wrong_logs import WRONG, changed
@@ -43,6 +44,9 @@ WORLDS = {
     "fit": (("bends", 1), ("doors", 4)),
     "judge": (("steps", 5), ("curves", 6)),
 }
+ALIKE = {"fit": (1, 2), "judge": (3, 4)}
+"""seeds of drives through equal rooms, with a laser that sees little more than one"""
+_ALIKE_M = 3.5
 _EVERY = {"intel": 2, "fr079": 2, "aces": 2, "clinic": 1}
 """of the scans of a log, each of which is used"""
 SEEDS = {"fit": 1, "judge": 2}
@@ -71,6 +75,8 @@ class Source(NamedTuple):
 
 def jobs(half: str) -> Iterator[tuple[str, str, str]]:
     """Source, front end and damage of each run of a half."""
+    for seed in ALIKE[half]:
+        yield f"alike-{seed}", "scan-matching", "clean"
     for damage in ("clean", *WRONG, *(name for name in DAMAGES if name != "clean")):
         for log, pieces in PIECES[half].items():
             if log == "clinic" and damage in _OF_EVEN_BEAMS:
@@ -86,6 +92,8 @@ def jobs(half: str) -> Iterator[tuple[str, str, str]]:
 def source(half: str, name: str, cache: Path) -> Source:
     """A piece of a log, or a drive in a world."""
     what, _, number = name.rpartition("-")
+    if what == "alike":
+        return _alike(int(number))
     if what not in FILES:
         return _driven(what, int(number))
     begin_s, length_s = PIECES[half][what][int(number)]
@@ -127,6 +135,14 @@ def _driven(family: str, seed: int) -> Source:
         command = Command(config.robot.speed * max(0.0, 1.0 - 3.0 * abs(turn)), float(np.clip(3.0 * turn, -1.0, 1.0)))
     ticks = scans[::2]
     return Source(ticks, np.array([tick.truth.array() for tick in ticks if tick.truth]), config.laser, config)
+
+
+def _alike(seed: int) -> Source:
+    """A drive through equal rooms."""
+    rooms = SCENES["rooms"]
+    log = log_of(rooms._replace(laser=rooms.laser.replaced(max_range=_ALIKE_M)), seed)
+    truth = np.array([tick.truth.array() for tick in log.ticks if tick.truth])
+    return Source(log.ticks, truth, log.laser, preset("log"))
 
 
 def made(src: Source, front: str, damage: str, seed: int) -> dict[str, Any]:

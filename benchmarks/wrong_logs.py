@@ -126,11 +126,49 @@ def slipped(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
     return with_steps(ticks, steps), truth
 
 
+def unrolled(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
+    """A fan of 240 degrees stated as one of 180, or the other way round."""
+    factor = np.float32(rng.choice((0.75, 1.0 / 0.75)))
+
+    def of(scan):  # type: ignore[no-untyped-def]
+        stated = {"angle_min": scan.angle_min * factor, "angle_increment": scan.angle_increment * factor}
+        return dataclasses.replace(scan, **stated)
+
+    return _with_scans(ticks, of), truth
+
+
+def spun(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
+    """Twice the robot is turned by hand, 0.4 to 0.7 rad between scans, with odometry that is one scan ahead."""
+    period_ns = int(np.median(np.diff([tick.stamp_ns for tick in ticks])))
+    kept, fast = [0], set[int]()
+    windows = _turning(ticks, 2)
+    for k in range(1, len(ticks)):
+        is_fast = any(first <= k < past for first, past in windows)
+        if is_fast and abs(_turned(ticks, kept[-1], k)) < rng.uniform(0.4, 0.7):
+            continue
+        if is_fast:
+            fast.add(k)
+        kept.append(k)
+    found, stamp_ns = [ticks[0]], ticks[0].stamp_ns
+    for n, k in enumerate(kept[1:], start=1):
+        stamp_ns += period_ns if k in fast else ticks[k].stamp_ns - ticks[k - 1].stamp_ns
+        ahead = ticks[kept[min(n + 1, len(kept) - 1)] if k in fast else k].odometry
+        found.append(dataclasses.replace(ticks[k], stamp_ns=stamp_ns, odometry=ahead))
+    return found, truth[kept]
+
+
+def turned_in_place(ticks: Ticks, truth: Array, rng: np.random.Generator) -> Wrong:
+    """The robot is turned by hand while its wheels stand and its laser is covered."""
+    first, past = _turning(ticks, 1)[0]
+    kept = [*range(first + 1), *range(past, len(ticks))]
+    return _resumed([ticks[k] for k in kept], ticks, first + 1, Pose()), truth[kept]
+
+
 WRONG: dict[str, Callable[[Ticks, Array, np.random.Generator], Wrong]] = {
     each.__name__: each
     for each in (
         laser_mirrored, mount_off, mount_turned, increment, kidnapped, joined, gap_lost, blinded, clocks, bad_wheels,
-        slipped,
+        slipped, unrolled, spun, turned_in_place,
     )
 }  # fmt: skip
 
@@ -150,6 +188,21 @@ def _stretch(truth: Array, rng: np.random.Generator, length_m: tuple[float, floa
     begin = rng.uniform(0.25, 0.7) * way[-1] - 0.5 * own
     first, past = np.searchsorted(way, [max(begin, 0.05 * way[-1]), begin + own])
     return int(first), int(min(past, len(truth) - 20))
+
+
+def _turning(ticks: Ticks, count: int, over: int = 30) -> list[tuple[int, int]]:
+    """First and past the last tick of the `count` stretches of as many ticks `over` which the robot turns most."""
+    turns = np.convolve(np.abs(steps_of(ticks)[:, 2]), np.ones(over), "valid")
+    found: list[tuple[int, int]] = []
+    for _ in range(count):
+        first = int(np.argmax(turns))
+        turns[max(first - 2 * over, 0) : first + 2 * over] = -1.0
+        found.append((first, first + over))
+    return found
+
+
+def _turned(ticks: Ticks, first: int, last: int) -> float:
+    return (ticks[first].odometry.inverse() @ ticks[last].odometry).theta
 
 
 def _cut(

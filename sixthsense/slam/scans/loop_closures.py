@@ -35,6 +35,7 @@ from sixthsense.slam.thinning import OLD_AGE, Thinning
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
+_EXPECTED_SIGMAS = 2.0  # of the position, beyond which a place must be like no other that is known
 _LAST = 3  # scans that are searched for at the end
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 
@@ -133,17 +134,32 @@ class LoopClosures:
     def _best_place(
         self, key: int, old: NDArray[np.int64], sigmas: tuple[Array, Array], last: int = 0
     ) -> Hypothesis | None:
-        """The best place of a keyframe among old ones, by the scans of the last metres or by the `last` ones alone."""
+        """The best place of a keyframe among old ones, by the scans of the last metres or by the `last` ones alone.
+
+        One that is not where the robot is expected is sought among all that is known: where rooms are alike it is
+        ambiguous, though none of the others is where the robot may be.
+        """
         graph, travelled_m = self._graph, self._graph.travelled_m
         # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
         # Certain by travel alone are those that overlap the placed scans themselves: they agree with any place.
-        passed = graph.is_kept & (travelled_m[key] - travelled_m > BACK_M + REACH_M)
-        self._places.seek(old, np.union1d(old, np.flatnonzero(passed)))
+        passed = np.flatnonzero(graph.is_kept & (travelled_m[key] - travelled_m > BACK_M + REACH_M))
+        known = np.union1d(old, passed)
+        self._places.seek(old, known)
         keys = self._places.keys
-        if not len(keys):
-            return None
         expected = ExpectedPoses(between(graph.poses[keys], graph.poses[key]), sigmas[0][keys], sigmas[1][keys])
-        return best_place(PlaceQuery(graph, key, self._places, expected, self._min_score, last), self._search)
+        query = PlaceQuery(graph, key, self._places, expected, self._min_score, last)
+        found = best_place(query, self._search) if len(keys) else None
+        if found is None or found.is_ambiguous or self._is_expected(key, found, sigmas[0]):
+            return found
+        self._places.seek(known, known)
+        anywhere = ExpectedPoses.anywhere(len(self._places.keys))
+        return best_place(query._replace(expected=anywhere), self._search)
+
+    def _is_expected(self, key: int, found: Hypothesis, sigma_m: Array) -> bool:
+        """Whether a place is where keyframe `key` is expected, by the sigmas relative to the scans that show it."""
+        off = between(self._graph.poses[key], found.evidence.pose)
+        shown_by = Alignments.joined(found.evidence.links).targets
+        return not len(shown_by) or math.hypot(off[0], off[1]) <= _EXPECTED_SIGMAS * float(sigma_m[shown_by].max())
 
     def close(self, links: Alignments) -> None:
         """Close a loop with the links of a place.
