@@ -46,15 +46,13 @@ class LandmarkFrontEnd:
         self._thinning = Thinning()
         self._guide: ScanFrontEnd | None = None
         self._proposed = ProposedLandmarks()
-        self._is_at_guide = True
-        """whether the last keyframe is one of the guide's, not of observations that the log gives"""
         if self._config.association.proposed_by == "scan-matching":
             from sixthsense.slam.estimators.isam2 import ISAM2
             from sixthsense.slam.scans.front_end import ScanFrontEnd
 
             smoother = ISAM2(self.pose, np.zeros((3, 3)), self._config.isam2)
             wheels, config = Motion(ByWheels(self._config.assumed)), self._config.replaced(scans={"final_pass": False})
-            self._guide = ScanFrontEnd(config, smoother, self.pose, wheels, self._clock)
+            self._guide = ScanFrontEnd(setup._replace(config=config, estimator=smoother, motion=wheels))
 
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
@@ -106,22 +104,21 @@ class LandmarkFrontEnd:
     def _keyframe_motion(self, evidence: Evidence) -> Odometry | None:
         """The motion since the last keyframe, if this tick's evidence is used.
 
-        A scan is used after enough motion, or where it is one of the guide's keyframes, with the guide's motion since
-        its own last one; named observations always are, and the poses of a log with loop closures.
+        A scan is used after enough motion, or where it is one of the guide's keyframes, with the guide's motion if it
+        has all keyframes; named observations always are, and the poses of a log with loop closures.
         """
         if self._guide is not None:
             guided = self._guide.take(evidence)
             if evidence.scan is not None:
                 if guided is None:
                     return None
-                by_wheels, is_since_guide, self._is_at_guide = self._taken(), self._is_at_guide, True
-                return guided.motion if is_since_guide else by_wheels
+                by_wheels = self._taken()
+                return guided.motion if guided.index == len(self._showed_new) else by_wheels
         elif evidence.scan is not None:
             is_used = not self._showed_new or is_due(self.since.motion, self.since, self._config.keyframes)
             return self._taken() if is_used else None
         if not evidence.observations and evidence.closures is None:
             return None
-        self._is_at_guide = False
         return self._taken()
 
     def _associated(self, features: Features, evidence: Evidence) -> Association:

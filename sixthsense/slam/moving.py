@@ -57,32 +57,21 @@ class View(NamedTuple):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _count_seen_through(
-    points: Array,
-    pose: Array,
-    cells: Bearings,
-    ranges: Array,
-    limits: tuple[float, float, float],
-    counts: NDArray[np.int64],
-) -> None:
-    """Add 1 to `counts` (N,) for each of `points` (N, 2), world frame, that a view saw through, up to `_LEAST_SCANS`.
-
-    `limits` are how far beyond it must have seen, and the tolerances across the beam, m, and of its direction, rad.
-    """
-    beyond_m, tolerance_m, tolerance_rad = limits
+def _count_seen_through(points: Array, pose: Array, cells: Bearings, ranges: Array, counts: NDArray[np.int64]) -> None:
+    """Add 1 to `counts` (N,), up to `_LEAST_SCANS`, for `points` (N, 2), world frame, that a view saw through."""
     for i in range(len(points)):
         if counts[i] >= _LEAST_SCANS:
             continue  # that is enough
         dx, dy = points[i, 0] - pose[0], points[i, 1] - pose[1]
         distance = np.hypot(dx, dy)
-        if not 2.0 * tolerance_m < distance < np.inf:  # also NaN
+        if not 2.0 * _TOLERANCE_M < distance < np.inf:  # also NaN
             continue
         middle = int(np.floor(cell_of(cells, np.arctan2(dy, dx) - pose[2]) + 0.5))
-        reach = 1 + int((tolerance_m / distance + tolerance_rad) / cells.spacing)
+        reach = 1 + int((_TOLERANCE_M / distance + _TOLERANCE_RAD) / cells.spacing)
         through = True
         for k in range(middle - reach, middle + reach + 1):
             is_seen = cells.closed or 0 <= k < cells.beams
-            if not is_seen or not ranges[k % cells.beams] > distance + beyond_m:
+            if not is_seen or not ranges[k % cells.beams] > distance + _BEYOND_M:
                 through = False
                 break
         counts[i] += through
@@ -106,9 +95,7 @@ class MovingReturns:
         for view in reversed(self._views):
             if is_recent and stamp_ns - view.stamp_ns > _STANDS_NS:
                 recent, is_recent = counts > 0, False
-            _count_seen_through(
-                points, view.pose, view.cells, view.ranges, (_BEYOND_M, _TOLERANCE_M, _TOLERANCE_RAD), counts
-            )
+            _count_seen_through(points, view.pose, view.cells, view.ranges, counts)
         moving = scan.is_return & (counts >= _LEAST_SCANS)
         count = np.count_nonzero(moving)
         if count == 0 or count > _MOST_SHARE * np.count_nonzero(scan.is_return):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,10 +55,7 @@ class PriorMap:
 
     def fresh_records(self) -> dict[LandmarkId, Record]:
         """Copies of the records; first and last keyframe are those of the new run, 0."""
-        fresh = {i: copy.deepcopy(record) for i, record in self.records.items()}
-        for record in fresh.values():
-            record.first_scan = record.last_scan = 0
-        return fresh
+        return {i: replace(copy.deepcopy(each), first_scan=0, last_scan=0) for i, each in self.records.items()}
 
 
 class PriorStart(NamedTuple):

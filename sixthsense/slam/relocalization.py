@@ -71,7 +71,7 @@ class SoughtScans(PlacedScans):
     def views(self, key: int, at: Array) -> Views:
         """Scan `key` at a pose (3,) and the earlier scans whose views overlap it most."""
         targets = overlapping(self, key, at, self.known)[:_PARTNERS]
-        return Views(self.store.returns, key, targets, self.poses[targets])
+        return Views(self.store.returns, key, targets, self.poses[targets], 1.0)
 
 
 class Relocalizer:
@@ -98,7 +98,7 @@ class Relocalizer:
         scans = self._scans
         key, places = scans.put(scan, pose), scans.places
         anywhere = search.ExpectedPoses.anywhere(len(places.anchors))
-        found = search.best_place(search.PlaceQuery(scans, key, places, anywhere, self._min_score), self._search)
+        found = search.best_place(search.PlaceQuery(scans, key, places, anywhere, self._min_score, 0), self._search)
         if found is None or found.is_ambiguous:
             return None
         self.place = Pose.from_array(found.evidence.pose) @ (pose @ scan.T_robot_laser).inverse()
@@ -151,7 +151,7 @@ def _candidates(scans: SoughtScans, key: int, given: Prior, cov: Array) -> list[
     sigmas = np.full(count, sigma_m), np.full(count, math.sqrt(cov[2, 2]))
     expected = search.ExpectedPoses(between(places.anchors, given.pose).reshape(-1, 3), *sigmas)
     found = []
-    query = search.PlaceQuery(scans, key, places, expected, LEAST_SCORE)
+    query = search.PlaceQuery(scans, key, places, expected, LEAST_SCORE, 0)
     for each in search.BranchAndBound().propose(query, least_points=1):
         pose = aligned(scans.views(key, each.pose), given, each.pose, WIDE_GATE_M).pose
         off = np.array([*(pose[:2] - given.pose[:2]), between(given.pose, pose)[2]])

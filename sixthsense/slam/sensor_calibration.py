@@ -25,16 +25,17 @@ class SensorCalibration:
     """Corrects observations for their sensor's errors, and reports the uncertainty of its scale."""
 
     def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
-        """Raises InputError for an estimator that cannot estimate the sensor."""
-        if not isinstance(estimator, Filter):
-            raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
-        estimator.calibrate(sensor_prior())
-        self._start, self._estimator = start, estimator
-        self._scale_variance = SCALE_SIGMA**2
+        """If `config` wants it, otherwise all stays as it is; InputError for an estimator that cannot do it."""
+        self._start, self._estimator, self._scale_variance = start, estimator, 0.0
+        if config.calibrate_sensor:
+            if not isinstance(estimator, Filter):
+                raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
+            estimator.calibrate(sensor_prior())
+            self._scale_variance = SCALE_SIGMA**2
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
-        """The sensor's parameters."""
-        return self._estimator.calibration(Sensor)
+        """The sensor's parameters, if they are estimated."""
+        return self._estimator.calibration(Sensor) if isinstance(self._estimator, Filter) else None
 
     def corrected(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """Observations as the present parameters have them."""

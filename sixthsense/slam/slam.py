@@ -85,17 +85,16 @@ class Slam:
         self._motion = make_motion(config, self.estimator)
         self._deskew = Deskewer(config.features.deskew)
         self._moving = MovingReturns(config.grid.no_return_passes) if config.people else None
-        self._sensor = SensorCalibration(config, self.estimator, self._start) if config.calibrate_sensor else None
+        self._sensor = SensorCalibration(config, self.estimator, self._start)
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
             begin_with(prior_map, config, self.estimator)
             self._mapper.start_from(prior_map.evidence)
         setup = FrontEndSetup(config, self.estimator, self._start, self.associator, self._motion, clock)
-        part = part_of(config, FRONT_ENDS)
-        self._front_end: FrontEnd = part.make(setup)
+        self._front_end: FrontEnd = part_of(config, FRONT_ENDS).make(setup)
         self._last: Tick | None = None
         self._T_world_odom = self._start
-        self._estimate = self._reported(self.estimator.estimate())
+        self._estimate = self._sensor.reported(self.estimator.estimate())
         self._loop_closures: LoopClosureCounts | None = None
         self._result: SlamResult | None = None
         self._blas = threadpool_limits(limits=1, user_api="blas")
@@ -121,15 +120,14 @@ class Slam:
             increment = self._increment(tick)
             self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
             scan = None if tick.scan is None else self._deskew(tick.scan)
-        placed, still, moving, observations = increment, scan, NOTHING_MOVES, tick.observations or {}
+        placed, still, moving = increment, scan, NOTHING_MOVES
         guess = self.pose if increment is None else self.pose @ increment.motion
         if scan is not None and self._moving is not None:
             # Not for features, which take moving legs for what they are: something that hides a wall.
             still, moving = self._moving.split(scan, guess, tick.stamp_ns)
         if scan is not None and self._unplaced is not None:
             placed = self._placed(scan, guess, increment)
-        if self._sensor is not None:
-            observations = self._sensor.corrected(observations)
+        observations = self._sensor.corrected(tick.observations or {})
         keyframe = self._front_end.take(Evidence(placed, scan, still, observations, tick.closures))
         if keyframe is not None:
             keyframe = self._taken(keyframe)
@@ -211,20 +209,19 @@ class Slam:
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The parameters of the sensor of points at the last keyframe, if they are estimated."""
-        return None if self._sensor is None else self._sensor.sensor()
+        return self._sensor.sensor()
 
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
             finished = self._front_end.finish()
-            estimate = self._estimate = self._reported(finished.estimate)
+            estimate = self._estimate = self._sensor.reported(finished.estimate)
             self._loop_closures = finished.loop_closures or self._loop_closures
             joint = self.estimator.joint_covariance(estimate.ids.tolist())
             # Links of scans have private errors, which the estimator does not know of.
             joint[:3, :3] = finished.estimate.pose_cov
-            if self._sensor is not None:
-                places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
-                joint = self._sensor.reported_joint(places, joint)
+            places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
+            joint = self._sensor.reported_joint(places, joint)
             trajectory = self.trajectory()
             self._mapper.complete(trajectory)
             self._result = SlamResult(
@@ -271,9 +268,6 @@ class Slam:
             return increment
         return (increment or STANDSTILL).then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
 
-    def _reported(self, estimate: Estimate) -> Estimate:
-        return estimate if self._sensor is None else self._sensor.reported(estimate)
-
     def _taken(self, keyframe: Keyframe) -> Keyframe:
         """A keyframe with its covariance as it is reported; the wheels' newest values are used from now on."""
         if self.config.front_end not in FRONT_ENDS.shipped:
@@ -282,8 +276,7 @@ class Slam:
             check_returned(name, "pose", self._front_end.pose, Pose, x=(), y=(), theta=())
             check_returned(name, "since", self._front_end.since, Odometry, cov=(3, 3))
         self.check_estimate()
-        if self._sensor is not None:
-            keyframe = dataclasses.replace(keyframe, estimate=self._sensor.reported(keyframe.estimate))
+        keyframe = dataclasses.replace(keyframe, estimate=self._sensor.reported(keyframe.estimate))
         self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures
         self._motion.at_keyframe(self.wheels() if self.config.calibrate_wheels else None)
         return keyframe

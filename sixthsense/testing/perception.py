@@ -242,7 +242,7 @@ class Rooms(PlacedScans):
         true = between(places.anchors, self.poses[self.key])
         count = len(places.anchors)
         expected = ExpectedPoses(true + _OFF, np.full(count, _SIGMA_M), np.full(count, _SIGMA_RAD))
-        return PlaceQuery(self, self.key, places, expected, 0.5)
+        return PlaceQuery(self, self.key, places, expected, 0.5, 0)
 
 
 def _answers(part: Any) -> list[tuple[Rooms, list[Candidate]]]:

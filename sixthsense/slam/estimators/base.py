@@ -194,26 +194,18 @@ class Smoother(Estimator, Protocol):
 
 def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
     """Raise ValueError, naming the landmark, for an observation that is not finite or whose covariance is invalid."""
-    if not observations:
-        return
-    for i, s in observations.items():
-        if np.shape(s.z) != (2,) or np.shape(s.cov) != (2, 2):
-            got = f"{np.shape(s.z)} and {np.shape(s.cov)}"
+    for i, seen in observations.items():
+        if np.shape(seen.z) != (2,) or np.shape(seen.cov) != (2, 2):
+            got = f"{np.shape(seen.z)} and {np.shape(seen.cov)}"
             raise ValueError(f"observation of landmark {i}: expected z (2,) and cov (2, 2), got {got}")
-    z = np.array([s.z for s in observations.values()], dtype=np.float64)
-    cov = np.array([s.cov for s in observations.values()], dtype=np.float64)
-    with np.errstate(invalid="ignore", over="ignore"):
-        det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
-        is_symmetric = np.abs(cov[:, 0, 1] - cov[:, 1, 0]) <= COVARIANCE_SLACK * np.abs(cov).max(axis=(1, 2))
-    is_valid = np.isfinite(z).all(axis=1) & np.isfinite(det) & is_symmetric & (cov[:, 0, 0] > 0.0) & (det > 0.0)
-    if is_valid.all():
-        return
-    k = int(np.argmin(is_valid))
-    name = f"observation of landmark {list(observations)[k]}"
-    if not np.isfinite(z[k]).all():
-        raise ValueError(f"{name}: found z {z[k]}, allowed: finite numbers")
-    fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
-    raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, with positive eigenvalues")
+        if not (math.isfinite(seen.z[0]) and math.isfinite(seen.z[1])):
+            raise ValueError(f"observation of landmark {i}: found z {seen.z}, allowed: finite numbers")
+        (a, b), (c, d) = seen.cov.tolist()
+        is_valid = abs(b - c) <= COVARIANCE_SLACK * max(a, d) and a > 0.0 and 0.0 < a * d - b * c < math.inf
+        if not is_valid:
+            fault = covariance_fault(seen.cov, lowest=0.0) or "a singular covariance"
+            allowed = "a covariance, symmetric, with positive eigenvalues"
+            raise ValueError(f"observation of landmark {i}: found {fault}, allowed: {allowed}")
 
 
 def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:

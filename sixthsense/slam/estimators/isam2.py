@@ -90,7 +90,7 @@ class ISAM2:
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Add the present pose and the observations from it; solve if there are any."""
         check_observations(observations)
-        guess = self._now()
+        guess = self._pose @ self._pending.motion
         self._add_pose(guess)
         for i, observation in observations.items():
             is_first = i not in self._graph.keys
@@ -163,7 +163,7 @@ class ISAM2:
         ids = np.array(list(self._graph.keys), dtype=np.int64)
         walls = np.array([self._graph.is_wall(i) for i in self._graph.keys], dtype=np.bool_)
         means = np.where(walls[:, None], lines(frames)[0], frames[:, :2])
-        return Estimate(self._now(), self._propagated(self._pose_cov()), ids, means, walls)
+        return Estimate(self._pose @ self._pending.motion, self._propagated(self._pose_cov()), ids, means, walls)
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
@@ -296,10 +296,6 @@ class ISAM2:
             kept, landmarks = self._graph.read()
             self._read = self._chain.all_poses(kept), landmarks
         return self._read
-
-    def _now(self) -> Pose:
-        """The present pose."""
-        return self._pose @ self._pending.motion
 
     def _pose_cov(self) -> Array:
         """(3, 3) of the last solved pose, world frame."""

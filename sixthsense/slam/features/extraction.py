@@ -58,14 +58,17 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig) -> Featu
     spans, piece_of_span = split_pieces(
         rolled.points, rolled.pieces, rolled.cyclic, config.split.epsilon_m, config.lines.min_points
     )
-    lines, where, owner = fit_lines(rolled.points, spans, _line_rules(config), sigmas)
+    limits = config.lines
+    rules = LineRules(limits.threshold_m, limits.min_points, limits.min_length_m, limits.cut_false_alarm)
+    lines, where, owner = fit_lines(rolled.points, spans, rules, sigmas)
     fitted = FittedLines(lines, np.ascontiguousarray(where[:, 1:]), piece_of_span[where[:, 0]], owner)
-    rules = _endpoint_rules(scan, config)
+    has_ends, ends = config.landmarks != "walls", config.points
+    of_ends = EndpointRules(has_ends, ends.max_gap_m, scan.max_range, ends.min_points, limits.threshold_m)
     observations: list[Observation] = []
     if config.landmarks == "corners":
-        kinds, found = find_points(rolled, fitted, rules, sigmas)
+        kinds, found = find_points(rolled, fitted, of_ends, sigmas)
     else:
-        walls, found = find_walls(rolled, fitted, rules, sigmas)
+        walls, found = find_walls(rolled, fitted, of_ends, sigmas)
         kinds = np.full(len(found), Kind.END)
         observations = _wall_observations(walls, mount, assumed)
     observations += _point_observations(kinds, found, mount, assumed, config)
@@ -80,16 +83,13 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig) -> Featu
 
 def _partitioned(scan: Scan, sigma_range: float, config: FeaturesConfig) -> tuple[int, RolledScan]:
     """The scan with its first-level partitions, rolled so that none straddles its seam, and its first beam."""
-    n = len(scan.ranges)
     ranges, bearings = scan.ranges.astype(np.float64), scan.bearings
     spacing = float(scan.angle_increment)
-    gaps = None if scan.sweep is None else np.diff(bearings, prepend=bearings[-1] - 2.0 * math.pi)
-    offset, pieces, cyclic = partition(ranges, spacing, scan.closed, sigma_range, config.partition, gaps)
-    ranges = np.roll(ranges, -offset)
-    if scan.sweep is None:
-        bearings = bearings[0] + spacing * (offset + np.arange(n))
-    else:
-        bearings = np.concatenate([bearings[offset:], bearings[:offset] + 2.0 * math.pi])
+    gaps = np.diff(bearings, prepend=bearings[-1] - 2.0 * math.pi)
+    jumps = config.partition
+    incidence = jumps.incidence_rad if jumps.method == "adaptive" else 0.0
+    offset, pieces, cyclic = partition(ranges, gaps, spacing, scan.closed, jumps.epsilon_m, incidence, sigma_range)
+    ranges, bearings = np.roll(ranges, -offset), np.concatenate([bearings[offset:], bearings[:offset] + 2.0 * math.pi])
     points = np.where(np.isfinite(ranges)[:, None], np.roll(scan.points_laser, -offset, axis=0), 0.0)
     return offset, RolledScan(points, ranges, bearings, pieces, scan.closed, cyclic)
 
@@ -105,27 +105,6 @@ class LineExtractor:
     def extract(self, scan: Scan) -> Features:
         """Extract walls and landmarks from a scan."""
         return extract(scan, self._assumed, self._options)
-
-
-def _line_rules(config: FeaturesConfig) -> LineRules:
-    lines = config.lines
-    return LineRules(
-        lines.threshold_m,
-        lines.min_points,
-        lines.min_length_m,
-        lines.cut_false_alarm,
-    )
-
-
-def _endpoint_rules(scan: Scan, config: FeaturesConfig) -> EndpointRules:
-    points = config.points
-    return EndpointRules(
-        config.landmarks != "walls",
-        points.max_gap_m,
-        scan.max_range,
-        points.min_points,
-        config.lines.threshold_m,
-    )
 
 
 def _point_observations(

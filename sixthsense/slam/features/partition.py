@@ -12,7 +12,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config import PartitionConfig
 from sixthsense.core.geometry import Array
 
 Indices = NDArray[np.int64]
@@ -22,7 +21,8 @@ Indices = NDArray[np.int64]
 def _is_break(r0: float, r1: float, gap: float, spacing: float, epsilon: float, incidence: float, sigma: float) -> bool:
     """Whether two neighbouring returns, `gap` apart in bearing, with beams `spacing` apart, are in two partitions.
 
-    `incidence` 0 selects the fixed jump `epsilon`.
+    `incidence`, rad, is the flattest at which one wall is met; 0 selects the fixed jump `epsilon`, m. `sigma`, m, is of
+    a range.
     """
     if not (math.isfinite(r0) and math.isfinite(r1)):
         return True
@@ -35,10 +35,16 @@ def _is_break(r0: float, r1: float, gap: float, spacing: float, epsilon: float, 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _partition(
+def partition(
     ranges: Array, gaps: Array, spacing: float, closed: bool, epsilon: float, incidence: float, sigma: float
 ) -> tuple[int, Indices, bool]:
-    """First beam, (P, 2) first and past-last position from there, and whether the only piece closes on itself."""
+    """Split a scan into runs of returns without a jump.
+
+    `ranges` (N,) metres, inf for no return; `gaps` (N,) radians between each beam and the one before, and `spacing`
+    their usual value; `closed` if the first beam follows the last; `epsilon`, `incidence`, `sigma` as of `_is_break`.
+    Returns `(offset, pieces, cyclic)`: piece p covers the beams `(offset + k) % N` for k in `range(*pieces[p])`;
+    `cyclic` says that the only piece closes on itself.
+    """
     n = ranges.shape[0]
     offset = 0
     cyclic = False
@@ -65,29 +71,6 @@ def _partition(
             count += 1
         pieces[count - 1, 1] = k + 1
     return offset, pieces[:count].copy(), cyclic
-
-
-def partition(
-    ranges: Array, spacing: float, closed: bool, sigma: float, config: PartitionConfig, gaps: Array | None = None
-) -> tuple[int, Indices, bool]:
-    """Split a scan into runs of returns without a jump.
-
-    `ranges` (N,) metres, inf for no return; `spacing` radians between beams; `closed` if the first beam follows the
-    last; `sigma` of a range, metres; `gaps` (N,) radians between each beam and the one before where they are not all
-    `spacing`. Returns `(offset, pieces, cyclic)`: piece p covers the beams `(offset + k) % N`
-    for k in `range(*pieces[p])`; `cyclic` says that the only piece closes on itself.
-    """
-    incidence = config.incidence_rad if config.method == "adaptive" else 0.0
-    found: tuple[int, Indices, bool] = _partition(
-        ranges,
-        np.full(len(ranges), spacing) if gaps is None else gaps,
-        spacing,
-        closed,
-        config.epsilon_m,
-        incidence,
-        sigma,
-    )
-    return found
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -57,7 +57,7 @@ class Views(NamedTuple):
     """(R,) rows of the others"""
     at: Array
     """(R, 3) their poses, in the frame of the pose that is sought"""
-    factor: float = 1.0
+    factor: float
     """of the variance of a return"""
 
 

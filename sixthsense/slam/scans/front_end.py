@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import KEEP_POSES
 from sixthsense.core.geometry import Array, Pose
@@ -25,8 +24,8 @@ from sixthsense.core.se2 import (
     triple,
 )
 from sixthsense.slam.estimators import Estimate, Smoother
-from sixthsense.slam.front_end import Clock, Evidence, Finished, FrontEndSetup, Keyframe, LoopClosureCounts, is_due
-from sixthsense.slam.motion_source import LastVelocity, Motion, with_wheel_errors
+from sixthsense.slam.front_end import Evidence, Finished, FrontEndSetup, Keyframe, LoopClosureCounts, is_due
+from sixthsense.slam.motion_source import LastVelocity, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import LINKS, REACH_M, ScanGraph
 from sixthsense.slam.scans.known_places import of_last_metres
@@ -53,13 +52,13 @@ _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and 
 class ScanFrontEnd:
     """Aligns every scan with keyframes, and gives the estimator links between keyframes."""
 
-    def __init__(self, config: Config, estimator: Smoother, start: Pose, motion: Motion, clock: Clock) -> None:
-        """Begin at `start`, `T_world_robot`."""
-        self._sources, self._clock = motion, clock
+    def __init__(self, setup: FrontEndSetup) -> None:
+        """Begin at the start; InputError for an estimator that is no `Smoother`."""
+        config, estimator, self.pose, _, self._sources, self._clock = setup
+        if not isinstance(estimator, Smoother):
+            raise InputError("front_end", f"found scan-matching with {config.estimator}", KEEP_POSES)
         self._config, self._estimator = config, estimator
-        self.pose = start
         """`T_world_robot` of the last scan, and the odometry since"""
-        self._has_final_pass = config.scans.final_pass
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
         self.loop_closures = LoopClosures(config.scans, self._graph, place_search_of(config))
@@ -111,7 +110,7 @@ class ScanFrontEnd:
         moved = self._T_key_world @ self.pose
         if not (self._is_carried or known is None or is_due(moved, self._since, self._config.keyframes)):
             self._since = found
-            if self._has_final_pass:
+            if self._config.scans.final_pass:
                 self._scans.append(TrackedScan(dataclasses.replace(scan), self.newest, self._since, moved))
             return None
         motion = self._motion(tracked, moved)
@@ -129,19 +128,20 @@ class ScanFrontEnd:
         estimate = self._reported(self._estimator.estimate())
         self.pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = LastScan(self._graph.poses[key].copy(), Pose().triple(), self._last.motion)
-        if self._has_final_pass:
+        if self._config.scans.final_pass:
             self._scans.append(TrackedScan(None, key, STANDSTILL, Pose()))
         return Keyframe(key, motion, predicted, estimate, loop_closures=self.counts)
 
     def finish(self) -> Finished:
         """Look for a loop closure, predict up to the last tick, and align the scans between keyframes once more."""
+        motion = self.since
         if self._config.scans.loop_closures and self._store.count:
-            self.loop_closures.look_at_end()
-        motion = self._for_estimator()
+            with self._clock("loop_closure"):
+                self.loop_closures.look_at_end()
         key = self._reported(self._estimator.estimate())
         self._estimator.predict(motion)
         estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=propagated(key.pose, key.pose_cov, motion))
-        since_key = refined(self._graph, self._scans, self._mount) if self._has_final_pass else None
+        since_key = refined(self._graph, self._scans, self._mount) if self._config.scans.final_pass else None
         return Finished(estimate, since_key, self._graph.robot_links(self._graph.links), self.counts)
 
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
@@ -289,11 +289,3 @@ def refined(graph: ScanGraph, scans: list[TrackedScan], mount: Triple) -> Array:
         found = aligned(views, prior, at, 0.0).pose
         motions[k] = compose(compose(to_laser, between(poses[each.key], found)), back)
     return motions
-
-
-def scan_front_end(setup: FrontEndSetup) -> ScanFrontEnd:
-    """The front end of scans; InputError for an estimator that cannot use it."""
-    config, estimator, start, _, motion, clock = setup
-    if not isinstance(estimator, Smoother):
-        raise InputError("front_end", f"found scan-matching with {config.estimator}", KEEP_POSES)
-    return ScanFrontEnd(config, estimator, start, motion, clock)

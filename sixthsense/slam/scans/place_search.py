@@ -40,8 +40,7 @@ from sixthsense.slam.scans.places import MOST_POINTS, PLACE, Apart, Pyramid, Win
 from sixthsense.slam.scans.tracking import FREEDOM
 
 _CANDIDATES = 8  # submaps that are searched
-SIGMAS = 2.0  # of a pose within a submap
-_MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
+_MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond two sigmas of a pose within a submap
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
@@ -74,11 +73,11 @@ class ExpectedPoses(NamedTuple):
     def window(self, place: int) -> Window | None:
         """Where around an anchor the scan may be; None if it is nowhere there."""
         x, y, theta = self.poses[place]
-        half_m = SIGMAS * self.sigma_m[place] + _MARGIN_M
+        half_m = 2.0 * self.sigma_m[place] + _MARGIN_M
         low, high = np.maximum((x - half_m, y - half_m), -HALF_M), np.minimum((x + half_m, y + half_m), HALF_M)
         if (low > high).any():
             return None
-        half_rad = min(SIGMAS * float(self.sigma_rad[place]) + _MARGIN_RAD, math.pi)
+        half_rad = min(2.0 * float(self.sigma_rad[place]) + _MARGIN_RAD, math.pi)
         return Window(np.array([*(0.5 * (low + high)), theta]), 0.5 * float((high - low).max()), half_rad)
 
 
@@ -104,7 +103,7 @@ class PlaceQuery(NamedTuple):
     """where the scan is by the track, in the frame of each place"""
     min_score: float
     """least share of the points, of those in which scans usually agree, that a place must explain"""
-    last: int = 0
+    last: int
     """scans, the newest ones, that are searched for and judged alone; 0: those of the last metres"""
 
     @property

@@ -33,7 +33,6 @@ BLOCK = 4  # cells along the side of a block
 PEAK = 2  # of a cell with a point; cells beside one have half of it, and sums fit into 16 bits
 NEAR_M = 12.0
 """farther returns are few, and their place depends on the heading"""
-_MOST_ROWS = 1 << 32  # of cells, which are numbered
 
 
 class Pyramid(NamedTuple):
@@ -58,8 +57,7 @@ def surfaces(returns: Returns, keys: NDArray[np.int64], at: Array, range_m: floa
     c, s = np.cos(at[:, 2:]), np.sin(at[:, 2:])
     found = np.stack([at[:, :1] + c * x - s * y, at[:, 1:2] + s * x + c * y, c * nx - s * ny, s * nx + c * ny], axis=-1)
     found = found[(distance > 0.0) & (distance <= range_m)]
-    column, row = np.floor(found[:, :2] / CELL_M).astype(np.int64).T
-    _, first = np.unique(column * _MOST_ROWS + row, return_index=True)
+    _, first = np.unique(np.floor(found[:, :2] / CELL_M) @ [1.0, 1j], return_index=True)
     return np.asarray(found[np.sort(first)])
 
 

@@ -163,10 +163,8 @@ class Tracked(NamedTuple):
 
     def usual(self, before: Usual) -> Usual:
         """What scans usually have, this one included."""
-        return Usual(
-            before.contradicted + _NEWEST_SHARE * (self.contradicted - before.contradicted),
-            before.lines + _NEWEST_SHARE * (self.lines - before.lines),
-        )
+        newest = self.contradicted, self.lines
+        return Usual(*(old + _NEWEST_SHARE * (new - old) for old, new in zip(before, newest, strict=True)))
 
 
 @numba.njit(cache=True, error_model="numpy")

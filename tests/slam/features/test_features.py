@@ -5,7 +5,7 @@ import pytest
 from predicted import predict_walls
 from scanned import box, look
 
-from sixthsense.config import PartitionConfig, preset
+from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of
 from sixthsense.core.landmarks import Kind
@@ -42,19 +42,16 @@ def free_poses(rng, count):
 
 def test_a_range_jump_splits_the_scan_and_a_missing_return_is_in_no_piece():
     ranges = np.array([1.0, 1.1, 3.0, 3.1, np.inf, 3.2, 3.3])
-    fixed = PartitionConfig(method="fixed", epsilon_m=1.0)
-    offset, pieces, cyclic = partition(ranges, 0.01, False, 0.01, fixed)
-    assert offset == 0 and not cyclic
-    assert pieces.tolist() == [[0, 2], [2, 4], [5, 7]]
+    offset, pieces, cyclic = partition(ranges, np.full(7, 0.01), 0.01, False, 1.0, 0.0, 0.01)
+    assert (offset, pieces.tolist(), cyclic) == (0, [[0, 2], [2, 4], [5, 7]], False)
 
 
 def test_a_closed_scan_begins_at_a_break_so_that_no_piece_straddles_the_seam():
-    ranges = np.array([3.0, 3.0, 1.0, 1.0, 3.0, 3.0])
-    fixed = PartitionConfig(method="fixed", epsilon_m=1.0)
-    offset, pieces, cyclic = partition(ranges, 2 * math.pi / 6, True, 0.01, fixed)
+    ranges, spacing = np.array([3.0, 3.0, 1.0, 1.0, 3.0, 3.0]), 2 * math.pi / 6
+    offset, pieces, cyclic = partition(ranges, np.full(6, spacing), spacing, True, 1.0, 0.0, 0.01)
     covered = [[(offset + k) % 6 for k in range(a, b)] for a, b in pieces]
     assert sorted(map(sorted, covered)) == [[0, 1, 4, 5], [2, 3]] and not cyclic
-    offset, pieces, cyclic = partition(np.ones(6), 2 * math.pi / 6, True, 0.01, fixed)
+    offset, pieces, cyclic = partition(np.ones(6), np.full(6, spacing), spacing, True, 1.0, 0.0, 0.01)
     assert cyclic and pieces.tolist() == [[0, 6]]
 
 

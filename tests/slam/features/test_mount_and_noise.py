@@ -87,4 +87,5 @@ def test_two_returns_are_of_one_wall_unless_it_would_be_met_flatter_than_allowed
         gap = longer * (reach + 3.0 * sigma)
         # The range of the second return, at that distance from the first one.
         ranges = np.array([1.7, 1.7 * math.cos(spacing) + math.sqrt(gap**2 - (1.7 * math.sin(spacing)) ** 2)])
-        assert len(partition(ranges[::order], spacing, False, sigma, config)[1]) == pieces
+        _, found, _ = partition(ranges[::order], np.full(2, spacing), spacing, False, 1.0, config.incidence_rad, sigma)
+        assert len(found) == pieces

@@ -31,7 +31,7 @@ def pair(laser, rng=None, a=A, b=B, walls=ROOM):
 
 def views(laser):
     rng = np.random.default_rng(4)
-    return Views(stored(*(scan_at(pose, ROOM, laser, rng=rng) for pose in POSES)).returns, 2, np.arange(2), AT)
+    return Views(stored(*(scan_at(pose, ROOM, laser, rng=rng) for pose in POSES)).returns, 2, np.arange(2), AT, 1.0)
 
 
 def of_one(sums):

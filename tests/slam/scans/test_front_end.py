@@ -117,6 +117,14 @@ def test_a_robot_that_slips_is_tracked_by_its_scans():
     assert np.hypot(*(step.pose.position - poses[-1].position)) < 0.03
 
 
+def test_at_the_end_the_robot_is_where_the_last_scan_was_tracked_and_not_where_wheels_say():
+    poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1)])
+    _, result, causal, last_key = run(merge(CONFIG, {"scans": {"loop_closures": False}}), poses, ROOM, scale=1.5)
+    assert last_key[-1] == last_key[-2]  # the last scan is no keyframe
+    assert result.estimate.pose.array() == pytest.approx(causal[-1], abs=1e-9)
+    assert np.hypot(*(result.estimate.pose.position - poses[-1].position)) < 0.02
+
+
 def test_half_of_a_push_that_wheels_do_not_notice_is_doubted_where_old_places_are_sought():
     before = drive(Pose(-3.0, 1.0, 0.0), [(-1.0, 1.0)])
     pushed = before[-1] @ Pose(0.3, 0.0, 0.6)

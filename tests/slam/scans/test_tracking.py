@@ -19,7 +19,7 @@ USUAL = Usual(0.05, 0.6)
 def views_and_prior(scan: Scan, said: Pose, sigmas=(0.01, 0.01, 0.01)):
     store = stored(scan_at(FIRST), scan)
     prior = Prior(said.array(), np.diag(np.array(sigmas) ** -2.0), SLIP_SIGMAS)
-    return Views(store.returns, 1, np.array([0]), FIRST.array()[None]), prior
+    return Views(store.returns, 1, np.array([0]), FIRST.array()[None], 1.0), prior
 
 
 def tracked(scan: Scan, said: Pose, usual=USUAL):
