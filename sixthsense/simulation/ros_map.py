@@ -35,15 +35,15 @@ _LOOK_AHEAD = 2000
 class _Map(BaseModel):
     """The fields of a map, whose values are text."""
 
-    image: Annotated[str, Field(min_length=1)]
+    image: Annotated[str, Field(min_length=1, max_length=1000)]
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]
     """metres a cell"""
     origin: tuple[_Origin, _Origin, _Origin]
     """x, y and yaw of the lower left corner"""
-    negate: Literal["0", "1", "false", "true", "False", "True"]
+    negate: Literal["0", "1", "false", "true", "False", "True", "FALSE", "TRUE"]
     occupied_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
     free_thresh: Annotated[float, Field(ge=0.0, le=1.0)]
-    mode: Literal["trinary"] = "trinary"
+    mode: Literal["trinary", "Trinary", "TRINARY"] = "trinary"
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple[str, ...]]:
@@ -59,11 +59,11 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     """
     stated = checked(_Map, _read_yaml(file))
     image = file.parent / stated.image
-    values = _read_image(image)  # (H, W, channels)
+    values = _read_image(file.parent, stated.image)  # (H, W, channels)
     channels = values.shape[2]
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * channels + 1) / (255.0 * channels)  # mean of each sum, 0 black to 1 white
-    occupancy = 1.0 - shade if stated.negate in ("0", "false", "False") else shade
+    occupancy = 1.0 - shade if stated.negate.lower() in ("0", "false") else shade
     is_occupied = occupancy > stated.occupied_thresh
     is_free = (occupancy < stated.free_thresh) & ~is_occupied
     saved, notes = _SAVED_UNKNOWN * channels, []
@@ -103,11 +103,12 @@ def _read_yaml(file: Path) -> Any:
         raise InputError("", f"is not YAML ({reason_of(error)})") from None
 
 
-def _read_image(path: Path) -> NDArray[np.uint8]:
-    """The image's pixels (H, W, channels), 0 to 255."""
+def _read_image(folder: Path, name: str) -> NDArray[np.uint8]:
+    """The pixels (H, W, channels), 0 to 255, of an image in a folder, at an absolute path or in a user's home, `~`."""
     from PIL import Image
 
     try:
+        path = folder / Path(name).expanduser()
         if not path.is_file():
             raise FileNotFoundError("no such file")
         with warnings.catch_warnings(category=Image.DecompressionBombWarning, action="error"):
@@ -119,7 +120,9 @@ def _read_image(path: Path) -> NDArray[np.uint8]:
             pixels = np.asarray(image.convert("RGBA" if has_alpha else "L" if image.mode in ("1", "L") else "RGB"))
             return pixels.reshape(*pixels.shape[:2], -1)
     except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
-        raise InputError(path, f"not a readable image ({reason_of(error)})", f"{', '.join(_FORMATS)}") from None
+        raise InputError(
+            folder / name, f"not a readable image ({reason_of(error)})", f"{', '.join(_FORMATS)}"
+        ) from None
 
 
 def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

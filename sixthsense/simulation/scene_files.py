@@ -126,6 +126,6 @@ def checked(kind: type[M], table: Any) -> M:
     names = [f"entry {part + 1}" if isinstance(part, int) else shown_name(part) for part in first["loc"]]
     cause = first.get("ctx", {}).get("error")
     where = ", ".join(filter(None, [*names, cause.where if isinstance(cause, InputError) else ""]))
-    if first["type"] in ("missing", "too_short", "too_long"):
+    if first["type"] in ("missing", "too_short", "too_long") or (len(names) > 1 and "_than_" in first["type"]):
         raise InputError(where, first["msg"])
     raise found.at(where)
