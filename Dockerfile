@@ -27,7 +27,7 @@ ENV PATH=/opt/venv/bin:$PATH \
 # The kernels are compiled here, once; any user of the image may add to them.
 RUN useradd --create-home --uid 1000 robot \
     && mkdir -p /var/cache/sixthsense /work/runs \
-    && python -c "from sixthsense.running.warmup import warm_up, warm_up_scans; warm_up(); warm_up_scans()" \
+    && python -c "from sixthsense.running.warmup import warm_up; warm_up(); warm_up('scan-matching')" \
     && chmod -R a+rwX /var/cache/sixthsense \
     && chown -R robot /work
 USER robot

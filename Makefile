@@ -44,7 +44,7 @@ notebooks: $(VENV)/installed  ## run every notebook, as CI does, longer cells cu
 
 kernels: $(VENV)/installed  ## compile the Numba kernels, which several processes then share
 	@$(BIN)/python -c "from sixthsense.running.warmup import warm_up; warm_up()" & \
-		$(BIN)/python -c "from sixthsense.running.warmup import warm_up_scans; warm_up_scans()"; wait
+		$(BIN)/python -c "from sixthsense.running.warmup import warm_up; warm_up('scan-matching')"; wait
 
 check: $(VENV)/installed  ## style, types, imports, structure and budget of code lines
 	$(BIN)/ruff check .

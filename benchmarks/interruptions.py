@@ -118,7 +118,7 @@ def check(case: Case, out: Path, earlier: dict[str, bytes]) -> None:
     with FolderLock(out if case.kind == "campaign" else partial):
         pass
     if case.kind == "campaign":
-        from sixthsense.campaigns import load_campaign
+        from sixthsense.campaigns.call import load_campaign
 
         rows = load_campaign(out).frame() if (out / "campaign.toml").exists() else []
         assert len(rows) <= 6 and (not len(rows) or set(rows["outcome"]) == {"tour ended"})

@@ -161,11 +161,11 @@ def warm() -> None:
     """Compile the hot loops, once in each process, and use one thread for BLAS."""
     from threadpoolctl import threadpool_limits
 
-    from sixthsense.running.warmup import warm_up, warm_up_scans
+    from sixthsense.running.warmup import warm_up
 
     threadpool_limits(limits=1, user_api="blas")
     warm_up()
-    warm_up_scans()
+    warm_up("scan-matching")
 
 
 def collected(case: Case, runs: Sequence[Figures], package: str) -> Row:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import functools
-import warnings
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from sixthsense.config import Config, merge, preset
+from sixthsense.config import Config, preset
 from sixthsense.config.errors import InputError
-from sixthsense.config.files import absolute, path_of
-from sixthsense.config.parts import EXPLORERS, KINDS, PLANNERS, import_named
+from sixthsense.config.files import path_of
+from sixthsense.config.parts import EXPLORERS, PLANNERS, import_named
 from sixthsense.config.section import shown
-from sixthsense.config.tree import applied, part_of, task_of
+from sixthsense.config.tree import applied, own_parts, part_of
 from sixthsense.core.random_streams import random_streams
 from sixthsense.running.runs import RunHooks, replay_log, reserved, simulate
 
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
     from sixthsense.logs.replay_input import LogSelection, ReplayInput
     from sixthsense.loop.run import OnTick
     from sixthsense.slam.prior_map import PriorStart
+
+_log = logging.getLogger(__name__)
 
 
 def run(
@@ -80,9 +81,10 @@ def run(
 
     given = dict(fields)
     prior = _prior_start(prior_map, given)
-    config, task = mission_of(with_task(_of_scene(scene, given), given))
+    config, task = mission_of(_of_scene(scene, given))
+    _note(task.scene.name, task.scene.notes)
     with reserved(out, config, overwrite, prior=prior) as folder:
-        return simulate(config, task, folder, _watch(on_tick, progress), prior)
+        return simulate(config, task, folder, RunHooks(on_tick, progress), prior)
 
 
 def replay(
@@ -138,14 +140,16 @@ def replay(
     given = dict(fields)
     prior = _prior_start(prior_map, given)
     found = _opened(log, config, relations, LogSelection(topics, robot, odometry_frames), given, out)
+    _note(found.name, found.notes)
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
-        return replay_log(found, folder, _watch(on_tick, progress), prior)
+        return replay_log(found, folder, RunHooks(on_tick, progress), prior)
 
 
 def merge_runs(
     first: str | Path,
     second: str | Path,
     on_tick: OnTick | None = None,
+    config: Config | None = None,
     *,
     progress: bool | None = None,
     out: str | Path | None = None,
@@ -162,8 +166,10 @@ def merge_runs(
         Folders of runs with scans of one laser. The second is found in the map of the first by what it has seen.
     on_tick, progress, out, overwrite
         What they are for `ss.replay`.
+    config
+        The complete configuration, by default that of the first run.
     **fields
-        Fields that override the configuration of the first run, as in `ss.replay`.
+        Fields that override the configuration, as in `ss.replay`.
 
     Returns
     -------
@@ -185,27 +191,27 @@ def merge_runs(
     check_options(first, fields, LogSelection())
     for run in (first, second):
         check_out(run, None if out is None else path_of("out", out))
-    config = _apply_fields(load_config(first / "config.toml"), fields)
-    merged = open_merged(first, second, config)
+    merged = open_merged(first, second, configured(config or load_config(first / "config.toml"), fields))
+    for note in merged.notes:
+        _log.info(f"note: {note}")
     with reserved(out, merged.config, overwrite, merged.files) as folder:
-        return replay_merged(merged, folder, _watch(on_tick, progress))
+        return replay_merged(merged, folder, RunHooks(on_tick, progress))
 
 
 def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
     """The configuration of a run from the scene, or the complete configuration, and the given fields."""
     if isinstance(scene, Config):
-        return _apply_fields(scene, given)
+        return configured(scene, given)
     if "scene" in given:
         raise InputError("scene", f"found {shown(given['scene'])} beside {shown(str(scene))}", "one scene")
-    return _apply_fields(given.pop("preset", "default"), {**given, "scene": str(path_of("scene", scene))})
+    return configured(given.pop("preset", "default"), {**given, "scene": str(path_of("scene", scene))})
 
 
 def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorStart | None:
     """The prior map and the start in it, whose fields are taken out of `given`."""
     from sixthsense.record.store import prior_start
 
-    pose, sigma, lost = given.pop("pose", None), given.pop("pose_sigma", None), given.pop("lost", False)
-    return prior_start(prior_map, pose, sigma, lost)
+    return prior_start(prior_map, **{name: given.pop(name, None) for name in ("pose", "pose_sigma", "lost")})
 
 
 def _opened(
@@ -223,49 +229,34 @@ def _opened(
         check_options(log, given, chosen)
         check_out(log, None if out is None else path_of("out", out))
         base = (given.pop("preset", None) or base_of(log)) if config is None else config
-        return open_recorded(log, _apply_fields(base, given), relations, chosen)
+        return open_recorded(log, configured(base, given), relations, chosen)
     if not hasattr(log, "ticks"):
-        raise InputError("log", f"found {shown(log)}", "a file, a folder, or a log opened by `ss.open_log`")
+        raise InputError("log", f"found {shown(log)}", "a file or folder of a log, or an opened log")
     if config is None:
         raise InputError("config", "found none for an opened log", "a Config, such as ss.preset()")
-    return of_opened(log, _apply_fields(config, given), relations)
+    return of_opened(log, configured(config, given), relations)
 
 
-def _watch(on_tick: OnTick | None, progress: bool | None) -> RunHooks:
-    return RunHooks(() if on_tick is None else (on_tick,), progress)
+def _note(name: str, notes: Sequence[str]) -> None:
+    """Log what a user may want to know about a scene or a log."""
+    for note in notes:
+        _log.info(f"note: {name}: {note}")
 
 
-def with_task(config: Config, given: Mapping[str, Any]) -> Config:
-    """Complete the configuration from the `given` fields: a goal or a tour sets the task, a scene file gets absolute.
+def configured(base: str | Config, given: Mapping[str, Any]) -> Config:
+    """A preset or a complete configuration with the given fields; parts of a user's own are made once.
 
-    The absolute path makes the run repeatable from any working folder. Raises InputError for a goal or a tour with
-    another task.
+    Raises InputError for a field that is not allowed, and PartError for a part that cannot be made, or has not what its
+    contract asks for, before anything is compiled or written.
     """
-    config = merge(config, task_of(given))
-    if Path(config.scene).suffix:
-        config = config.replaced(scene=str(absolute(config.scene)))
-    return config
-
-
-def check_made(config: Config) -> None:
-    """Make the parts of a user's own once, before anything is compiled or written.
-
-    Raises PartError for one that cannot be made, or has not what its contract asks for.
-    """
-    if any(getattr(config, parts.kind) not in parts.shipped for parts in KINDS):
-        from sixthsense.slam.slam import Slam
-
-        with Slam(config):
-            for kind in (PLANNERS, EXPLORERS):
-                part_of(config, kind).make(random_streams(config.seed).planner)
-
-
-def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
-    """Apply the given fields to a preset or a complete configuration."""
     if isinstance(base, Config) and "preset" in given:
         raise InputError("preset", f"found {shown(given['preset'])} with a complete configuration", "fields")
-    config = base if isinstance(base, Config) else preset(base)
     import_named(given)
-    found = applied(config, given, functools.partial(warnings.warn, stacklevel=5))
-    check_made(found)
+    found = applied(base if isinstance(base, Config) else preset(base), given)
+    if own_parts(found):
+        from sixthsense.slam.slam import Slam
+
+        with Slam(found):
+            for kind in (PLANNERS, EXPLORERS):
+                part_of(found, kind).make(random_streams(found.seed).planner)
     return found

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from pydantic import Field
 
 from sixthsense.campaigns.engine import Processes, carry_out
 from sixthsense.campaigns.folder import CampaignRows, check_folder, read_folder, save_folder
-from sixthsense.campaigns.plan import ALWAYS, AXES, CampaignPlan, campaign_of, plan, with_parts
-from sixthsense.campaigns.worker import FAILED, failed_row, run_row
+from sixthsense.campaigns.plan import (
+    ALWAYS,
+    AXES,
+    FAILED,
+    CampaignPlan,
+    campaign_of,
+    described,
+    failed_row,
+    one_line,
+    plan,
+    run_row,
+    with_parts,
+)
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import path_of
@@ -31,6 +46,8 @@ if TYPE_CHECKING:
 
     from sixthsense.config.fields import CampaignFields
 
+_log = logging.getLogger(__name__)
+
 
 def complete(
     campaign: CampaignPlan,
@@ -40,14 +57,15 @@ def complete(
     *,
     retry_failed: bool = False,
     progress: bool | None = None,
-    say: Callable[[str], object] = lambda line: None,
+    executor: Executor | None = None,
 ) -> None:
     """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
 
-    They are made by `workers` processes of this machine, by default one per processor. With `retry_failed` the runs
-    that raised are repeated. `progress` is whether a bar is shown, and `say` gets a line on how many runs there are.
-    Each row is written when its run ends, also if an interrupt follows. Raises InputError for the folder of another
-    campaign; FolderInUseError; OSError that names a file.
+    They are made by `workers` processes of this machine, by default one per processor, or as many at a time in an
+    `executor`. With `retry_failed` the runs that raised are repeated. `progress` is whether a bar is shown. How many
+    runs there are is logged. Each row is written when its run ends, also if an interrupt follows. Raises InputError for
+    the folder of another campaign, and for an executor whose processes would make other runs; FolderInUseError;
+    OSError that names a file.
     """
     check_folder(out, campaign)
     with FolderLock(out):
@@ -57,18 +75,39 @@ def complete(
         missing = {key: config for key, config in runs.items() if key not in done}
         if not missing:
             save_folder(out, saved)
-            say(f"all {len(runs)} runs are already in {out}/")
+            _log.info(f"all {len(runs)} runs are already in {out}/")
             return
-        prepare(say)  # once, not by each worker
-        with Processes(workers, partial(import_again, dict(searched))) as executor:
+        with _pool(executor, campaign, workers) as pool:
             save_folder(out, saved)
             existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
-            say(f"{len(runs)} runs{existing}; {executor.workers} worker{'s' * (executor.workers != 1)}")
+            _log.info(f"{len(runs)} runs{existing}; {pool.workers} worker{'s' * (pool.workers != 1)}")
             with progress_bar(progress, total=len(missing), desc="campaign", unit=" runs", leave=False) as bar:
-                for key, future in carry_out(executor, run_row, missing):
-                    error = future.exception()
-                    rows.add(future.result() if error is None else failed_row(missing[key], error))
-                    bar.update()
+                try:
+                    for key, future in carry_out(pool, run_row, missing):
+                        error = future.exception()
+                        rows.add(future.result() if error is None else failed_row(missing[key], error))
+                        bar.update()
+                except KeyboardInterrupt:
+                    count = f"{len(runs.keys() & rows.rows.read().keys())} of {len(runs)} runs are in {out}/"
+                    _log.warning(f"interrupted, {count}, the same command makes the missing ones")
+                    raise
+
+
+def _pool(executor: Executor | None, campaign: CampaignPlan, workers: int | None) -> Any:
+    """Processes of this machine, or an executor of the caller's, whose workers have been checked, in their place."""
+    pool = Processes(workers, partial(import_again, dict(searched)))
+    if executor is None:
+        prepare()  # once, not by each worker
+        return pool
+    own = described(campaign)
+    for future in [executor.submit(described, campaign) for _ in range(pool.workers)]:
+        try:
+            found = future.result()
+        except Exception as error:
+            raise InputError("executor", f"found no usable sixthsense ({one_line(error)})", str(own)) from None
+        if other := {name: value for name, value in found.items() if value != own[name]}:
+            raise InputError("executor", f"found {other}", str({name: own[name] for name in other}))
+    return nullcontext(SimpleNamespace(submit=executor.submit, workers=pool.workers))
 
 
 def campaign(
@@ -79,6 +118,7 @@ def campaign(
     workers: int | None = None,
     retry_failed: bool = False,
     progress: bool | None = None,
+    executor: Executor | None = None,
     **fields: Unpack[CampaignFields],
 ) -> Campaign:
     """Run every scene with every preset, estimator, other part and seed, and keep a row of metrics for each run.
@@ -86,9 +126,8 @@ def campaign(
         done = ss.campaign("apartment", seeds=range(5), estimator=["ekf", "isam2"], task="tour", max_time=60, out="mc")
         ss.compare(done).plot("error", by="estimator")
 
-    It is `sixthsense campaign`: the runs are made by processes on this machine, and the same call resumes a campaign
-    that was interrupted, or makes the runs that are missing after seeds or estimators were added. Ctrl-C ends it with
-    KeyboardInterrupt; the rows so far are kept, and `ss.load_campaign(out)` reads them.
+    The same call resumes a campaign that was interrupted, or makes the runs that are missing after seeds were added.
+    Ctrl-C ends it with KeyboardInterrupt; the rows so far are kept, and `ss.load_campaign(out)` reads them.
 
     Parameters
     ----------
@@ -98,22 +137,21 @@ def campaign(
         Whole numbers, such as `range(20)`.
     out
         Folder to write, new or of this campaign: campaign.toml, rows.jsonl and curves/.
-    workers
-        Number of processes, by default one per processor.
-    retry_failed
-        Whether runs that raised, whose outcome is "error", are repeated.
-    progress
-        Whether to show a progress bar; by default in a notebook and at a terminal.
+    workers, executor
+        Number of runs at a time, by default one per processor, each in a process; an executor in place of these
+        processes, as `concurrent.futures` has it or a Dask client's `get_executor()`.
+    retry_failed, progress
+        Whether runs that raised are repeated; whether a bar is shown, by default in a notebook and at a terminal.
     **fields
         Fields of the configuration by name, for all runs. `preset` and the parts (`estimator`, `front_end`, `planner`,
         ...) may be lists: the campaign compares their values. Parts of your own must be of modules that the workers
-        can import; those with options take `estimator_options`, `planner_options`, and so on.
+        can import.
 
     Raises
     ------
     InputError
-        In one line, before anything is written: a scene, field, seed or value that is not allowed; the folder of
-        another campaign or of a run.
+        In one line, before anything is written: a value that is not allowed; the folder of another campaign or of a
+        run; an executor whose workers would make other runs.
 
     """
     given = dict(fields)
@@ -129,16 +167,16 @@ def campaign(
     each = tuple(seeds) if isinstance(seeds, Iterable) and not isinstance(seeds, str) else seeds
     every = checked("seeds", Annotated[tuple[Count, ...], Field(min_length=1)], each)
     planned = campaign_of(axes, every, given, task_of(given))
-    complete(planned, plan(planned), Path(out), workers, retry_failed=retry_failed, progress=progress)
+    options: dict[str, Any] = {"retry_failed": retry_failed, "progress": progress, "executor": executor}
+    complete(planned, plan(planned), path_of("out", out), workers, **options)
     return Campaign(out)
 
 
 def _several(name: str, value: Any) -> tuple[Any, ...]:
     """One value or several as a tuple; InputError for none."""
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
-    if not values:
-        raise InputError(name, "found none", "one value or several")
-    return values
+    found: tuple[Any, ...] = checked(name, Annotated[tuple[Any, ...], Field(min_length=1)], values)
+    return found
 
 
 class Campaign(RunTable):
@@ -161,8 +199,7 @@ class Campaign(RunTable):
         A metric that a run lacks is NaN. A run that raised has the outcome "error" and the reason in the column
         `error`. Raises InputError for a table that cannot be read.
         """
-        frame = self._rows.frame()
-        return frame[[*LABELS, *(name for name in frame.columns if name not in LABELS)]]
+        return self._rows.frame()
 
     def samples(self, name: str) -> list[Sample]:
         """The runs for a comparison, with their errors along their ways."""

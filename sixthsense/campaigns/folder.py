@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.campaigns.engine import Rows
-from sixthsense.campaigns.plan import AXES, CampaignPlan
-from sixthsense.campaigns.worker import CURVES
+from sixthsense.campaigns.plan import AXES, CURVES, CampaignPlan
 from sixthsense.config import Section
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import instead_of, read_table
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.curves import CURVES as COLUMNS
-from sixthsense.evaluation.groups import flat
+from sixthsense.evaluation.groups import LABELS, flat
 from sixthsense.logs.runfolder import readable
 from sixthsense.record.writing import LOCK, whole
 
@@ -57,13 +56,14 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Saved:
         kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"
         raise InputError("out", f"{folder} is {kind if folder.is_dir() else 'a file'}", allowed)
     saved = read_folder(folder)
-    for table in ("versions", "fields", "scenes"):
-        before, now = flat(getattr(saved, table)), flat(getattr(made, table))
-        names = [*before, *now] if table == "fields" else [name for name in now if name in before]
-        for name in dict.fromkeys(names):
-            if before.get(name) != now.get(name):
-                old, new = (shown(one[name]) if name in one else "the preset's" for one in (before, now))
-                raise InputError("out", f"{folder} is a campaign with {name} = {old}, found {new}", allowed)
+    both = saved.scenes.keys() & made.scenes.keys()
+    before, now = (
+        {**one.versions, **flat(one.fields), **{name: one.scenes[name] for name in both}} for one in (saved, made)
+    )
+    for name in dict.fromkeys([*before, *now]):
+        if before.get(name) != now.get(name):
+            old, new = (shown(one[name]) if name in one else "the preset's" for one in (before, now))
+            raise InputError("out", f"{folder} is a campaign with {name} = {old}, found {new}", allowed)
     return saved.replaced(scenes={**saved.scenes, **made.scenes})
 
 
@@ -113,7 +113,7 @@ class CampaignRows:
         import pandas as pd
 
         rows = list(self.rows.read().values())
-        names = dict.fromkeys([*TEXTS, "seed", "run_time_s", *(name for row in rows for name in row)])
+        names = dict.fromkeys([*LABELS, *TEXTS, "run_time_s", *(name for row in rows for name in row)])
         frame = pd.DataFrame(rows, columns=list(names))
         return frame.sort_values([*AXES, "seed"], ignore_index=True)
 

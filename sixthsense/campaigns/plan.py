@@ -1,4 +1,4 @@
-"""The axes of a campaign, the fields that its runs share, and the resulting list of runs."""
+"""The axes of a campaign, the fields that its runs share, the list of runs, and what a worker makes of each."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import hashlib
 import itertools
 import json
 import math
+import platform
 import re
+import socket
+import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +21,8 @@ from sixthsense.config.files import absolute
 from sixthsense.config.parts import FILTERS, KINDS, options_class
 from sixthsense.config.section import shown
 from sixthsense.config.tree import with_checked_parts
+from sixthsense.config.version import __version__
+from sixthsense.record.stream import packed
 
 ALWAYS = ("scene", "estimator", "preset", "planner")
 """axes that every campaign has a value of"""
@@ -26,6 +31,10 @@ AXES: tuple[str, ...] = (*ALWAYS, *(parts.kind for parts in KINDS if parts.kind 
 where they have no value"""
 
 MOST_RUNS = 100_000
+FAILED = "error"
+"""the outcome of a run that raised"""
+CURVES = "curves"
+"""key of a row under which a worker returns the run's errors along its way"""
 
 _SEEDS = re.compile(r"([0-9]{1,18})(?::([0-9]{1,18}))?")
 
@@ -103,7 +112,11 @@ def plan(campaign: CampaignPlan) -> dict[str, Config]:
 
 def config_hash(config: Config) -> str:
     """Hash of a configuration: the first 16 hexadecimal digits of the SHA-256 of all its fields."""
-    return hashlib.sha256(json.dumps(as_table(config), sort_keys=True).encode()).hexdigest()[:16]
+    return _hash(as_table(config))
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> str:
@@ -113,27 +126,19 @@ def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> s
     """
     from sixthsense.simulation.scene import load_scene
 
-    found = load_scene(scene, map_unknown)
-    content = [found.walls.tolist(), found.glass.tolist(), found.solid_left, found.start, found.radius, found.goal]
-    content += [found.tour, found.region, found.walkers]
-    return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
+    return _hash(packed(replace(load_scene(scene, map_unknown), name="", notes=())))
 
 
 def seed_range(text: str) -> range:
     """Parse `FIRST:LAST`, such as `0:100`, where LAST is excluded, or a single seed such as `7`.
 
-    Raises InputError for an empty, reversed or malformed range.
+    Raises InputError for an empty, reversed, too long or malformed range.
     """
     found = _SEEDS.fullmatch(text)
-    allowed = "FIRST:LAST with LAST, which is excluded, above FIRST, such as 0:100, or one seed"
-    if found is None:
+    first, last = (int(found[1]), int(found[2] or int(found[1]) + 1)) if found else (0, 0)
+    if not 0 < last - first <= MOST_RUNS:
+        allowed = f"one seed, or FIRST:LAST such as 0:100, without LAST, of at most {MOST_RUNS} seeds"
         raise InputError("seeds", f"found {shown(text)}", allowed)
-    first = int(found[1])
-    last = first + 1 if found[2] is None else int(found[2])
-    if last <= first:
-        raise InputError("seeds", f"found {shown(text)}, {'empty' if last == first else 'reversed'}", allowed)
-    if last - first > MOST_RUNS:
-        raise InputError("seeds", f"found {last - first} seeds", f"at most {MOST_RUNS}")
     return range(first, last)
 
 
@@ -157,3 +162,52 @@ def campaign_of(axes: Mapping[str, Iterable[str]], seeds: Iterable[int], *tables
     axes = {**{axis: (getattr(usual, axis),) for axis in ALWAYS}, **axes, "scene": scenes}
     values = {axis: tuple(dict.fromkeys(axes[axis])) for axis in AXES if axis in axes}
     return CampaignPlan(values, tuple(dict.fromkeys(seeds)), shared_fields(*tables))
+
+
+def described(campaign: CampaignPlan) -> dict[str, str]:
+    """With what this process would make the runs of a campaign: versions, and the hash of each scene.
+
+    Raises InputError for a scene that it cannot read, and for a part that it cannot import.
+    """
+    campaign.settings()
+    return {"sixthsense": __version__, "python": platform.python_version().rpartition(".")[0], **campaign.digests()}
+
+
+def row_of(config: Config) -> dict[str, Any]:
+    """The columns that are known before a run: the configuration's hash, the axes, the task and the seed."""
+    return {"config_hash": config_hash(config), **{name: getattr(config, name) for name in (*AXES, "task", "seed")}}
+
+
+def run_row(config: Config) -> dict[str, Any]:
+    """Make one run and return its row; if the run raises, the row has the outcome `FAILED` and a one-line reason."""
+    from sixthsense.running.warmup import prepare
+
+    row = {**row_of(config), "host": socket.gethostname(), "version": __version__}
+    began = time.perf_counter()
+    try:
+        prepare(config)  # keeps the compilation out of the run's time
+        began = time.perf_counter()
+        row |= _metrics(config)
+    except Exception as error:
+        row |= {"outcome": FAILED, "error": one_line(error)}
+    return {**row, "run_time_s": time.perf_counter() - began}
+
+
+def failed_row(config: Config, error: BaseException) -> dict[str, Any]:
+    """The row of a run whose worker has failed."""
+    return {**row_of(config), "version": __version__, "outcome": FAILED, "error": one_line(error)}
+
+
+def one_line(error: BaseException) -> str:
+    """An exception's type and message in one line of at most 500 characters."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:500]
+
+
+def _metrics(config: Config) -> dict[str, Any]:
+    """The metrics of a run, and its errors along its way."""
+    from sixthsense.evaluation.curves import curves
+    from sixthsense.running.runs import simulate
+    from sixthsense.simulation.mission import mission_of
+
+    run = simulate(*mission_of(config))
+    return {**run.metrics, CURVES: curves(run.trace)}

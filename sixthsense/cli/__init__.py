@@ -37,11 +37,11 @@ COMMANDS = {
     "live": ("network", "", "map with a robot on a ROS 2 network, and drive it"),
     "simulate": ("network", "[SCENE]", "a simulated robot on that network, to test with"),
     "merge": ("runs", "RUN_A RUN_B", "map two runs in one building together"),
-    "calibrate": ("calibrate", "SCENE", "measure the robot's noise, for `run --config`"),
-    "campaign": ("campaign", "[SCENE ...]", "many runs on many processors, with a table"),
-    "report": ("report", "RUN_DIR ...", "figures of runs, and a page"),
-    "export": ("export", "RUN", "a bag, a graph, trajectories and tables of a run"),
-    "audit": ("audit", "ESTIMATE ...", "is a covariance as large as its errors?"),
+    "calibrate": ("runs", "SCENE", "measure the robot's noise, for `run --config`"),
+    "campaign": ("runs", "[SCENE ...]", "many runs on many processors, with a table"),
+    "report": ("results", "RUN_DIR ...", "figures of runs, and a page"),
+    "export": ("results", "RUN", "a bag, a graph, trajectories and tables of a run"),
+    "audit": ("results", "ESTIMATE ...", "is a covariance as large as its errors?"),
     "scenes": ("listing", "[SCENE]", "list the shipped scenes, or describe one"),
     "parts": ("listing", "", "list what can be replaced: estimators, planners, ..."),
 }
@@ -84,8 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if not _is_interrupt(error):
                 raise
             signals.is_over = True
-            _say("sixthsense: interrupted")
-            code = INTERRUPTED
+            code = _report_error("interrupted", INTERRUPTED)
         signals.is_over, signals.is_last = True, argv is None
         gc.set_threshold(*thresholds)
         return signals.exit_code(_flushed(code))
@@ -137,21 +136,18 @@ def _run_command(name: str, words: list[str]) -> int:
     command, common = command_class(name), import_module("sixthsense.cli.common")
     parser = import_module("sixthsense.cli.listing").parser_of(name, command)
     try:
-        options, flags = common.read_command(command, parser, words)
-        code: int = options.run(flags)
-        return code
+        with common.announced():
+            options, flags = common.read_command(command, parser, words)
+            code: int = options.run(flags)
+            return code
     except InputError as error:
         raise InputError("", common.with_options(error, parser)) from error
 
 
 def _report_error(message: str, code: int) -> int:
-    _say(f"sixthsense: {' '.join(message.split())}")
-    return code
-
-
-def _say(line: str) -> None:
     with contextlib.suppress(OSError):  # of a terminal that has been closed
-        print(line, file=sys.stderr)
+        print(f"sixthsense: {' '.join(message.split())}", file=sys.stderr)
+    return code
 
 
 def _flushed(code: int) -> int:

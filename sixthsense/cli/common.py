@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import logging
 import os
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from sixthsense.cli import DONE, EXIT_CODES, EXIT_CODES_OF_MAPS, FAILED
 from sixthsense.cli.options import Arg, Options, Parser, Table, as_options, parse
 from sixthsense.cli.options import with_options as with_options
-from sixthsense.config import Config, load_config, preset, prior_map_of
+from sixthsense.config import Config, load_config, notes_of, preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import read_table
 from sixthsense.config.parts import import_named
 from sixthsense.config.section import shown
-from sixthsense.config.tree import applied, with_checked_parts
 from sixthsense.loop.interrupt import is_command_ended
-from sixthsense.simulation.scene_files import scene_file
-from sixthsense.view import VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.loop.run import OnTick
     from sixthsense.navigation.unseen_places import UnseenPlace
-    from sixthsense.record.folder import RunFolder
-    from sixthsense.slam.prior_map import PriorStart
 
 
 class WithSettings(Options):
@@ -56,12 +51,6 @@ class OfScene(WithSettings):
     scene: Annotated[str | None, Arg("[SCENE]", is_positional=True)] = None
     """Shipped scene, or a .toml or map_server .yaml file."""
 
-    def settings_of_scene(self) -> Config:
-        """The configuration with the scene; InputError for one that does not exist."""
-        config = self.settings if self.scene is None else self.settings.replaced(scene=self.scene)
-        scene_file(config.scene)
-        return config
-
 
 class Common(WithSettings):
     """Options of all commands that write a run folder."""
@@ -77,6 +66,24 @@ class Common(WithSettings):
     strict: bool = False
     """End with exit code 3 if the map is doubtful, with 4 if it is broken."""
 
+    def started(self, run: Callable[..., Run], stem: str, *args: Any, hook: OnTick | None = None, **given: Any) -> int:
+        """Make a run in the folder that is given, or in a new one under runs/ whose name begins with `stem`.
+
+        What it has come to is printed; returns the exit code.
+        """
+        from sixthsense.loop.run import combined_hooks
+        from sixthsense.record.writing import FolderInUseError
+
+        with live_view(self.view) as view:
+            on_tick = combined_hooks(hook, view)
+            while True:
+                out = self.out or next(numbered(stem))
+                try:
+                    return show_end(run(*args, on_tick=on_tick, out=out, overwrite=self.overwrite, **given), self)
+                except FolderInUseError:  # a run that started at the same moment has taken the new one
+                    if self.out is not None:
+                        raise
+
 
 class WithPriorMap(Common):
     """Options of the commands that can begin with the map of an earlier run."""
@@ -90,14 +97,11 @@ class WithPriorMap(Common):
     lost: bool = False
     """With --prior-map: the robot does not know where it is. It drives until it has found out."""
 
-    def prior_start(self) -> PriorStart | None:
-        """The prior map and the start in it, if there is one; InputError for what is not allowed."""
-        from sixthsense.record.store import prior_start
-
-        if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
-            found = f"{self.config} is of a run with the prior map {note.get('name')}"
-            raise InputError("config", found, "with `prior_map`")
-        return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost)
+    def prior(self) -> dict[str, Any]:
+        """The prior map and the start in it as calls take them; InputError if the configuration alone has one."""
+        if self.prior_map is None and self.config is not None and "prior_map" in notes_of(self.config):
+            raise InputError("config", f"{self.config} is of a run with a prior map", "with `prior_map`")
+        return {name: getattr(self, name) for name in ("prior_map", "pose", "pose_sigma", "lost")}
 
 
 def read_command(command: type[Options], parser: Parser, words: Sequence[str]) -> tuple[Options, Table]:
@@ -112,48 +116,25 @@ def read_command(command: type[Options], parser: Parser, words: Sequence[str]) -
     own = command(**given)
     if not isinstance(own, WithSettings):
         return own, flags
-    from sixthsense.api import check_made  # here, since the help need not wait for it
+    from sixthsense.api import configured  # here, since the help need not wait for it
 
-    settings = _settings(own, given, flags)
+    base = _base(own.start(given), own.config, flags.get("preset"))
     if "parts" in given:
-        import_named(dict(settings), given["parts"])
-    settings = with_checked_parts(settings)
-    check_made(settings)
-    return own.replaced(settings=settings), flags
+        import_named(dict(base), given["parts"])
+    changed = flags.keys() - {"preset"} | {"scene"}
+    fields = {name: value for name, value in {**flags, **given}.items() if name in changed}
+    return own.replaced(settings=configured(base, fields)), flags
 
 
-def _settings(command: WithSettings, given: Table, flags: Table) -> Config:
-    """The configuration from preset, file and flags."""
-    start = command.start(given)
-    settings = start if isinstance(start, Config) and "preset" not in flags else preset(flags.get("preset", start))
-    if "config" in given:
-        named = read_table(given["config"]).get("preset")
-        if named is not None and flags.get("preset", named) != named:
-            found = f"found {shown(flags['preset'])} with {given['config']}, which names {shown(named)}"
-            raise InputError("preset", found, "one of the two")
-        settings = load_config(given["config"], settings if named is None else None)
-    fields = {name: value for name, value in flags.items() if name != "preset"}
-    return applied(settings, fields, lambda note: announce(f"note: {note}"))
-
-
-def run_folder(
-    options: Common,
-    config: Config,
-    stem: str,
-    replayed: Mapping[str, str] | None = None,
-    prior: PriorStart | None = None,
-) -> AbstractContextManager[RunFolder | None]:
-    """The folder given by --out, or a new one under runs/ with a name that begins with `stem`."""
-    from sixthsense.record.writing import FolderInUseError
-    from sixthsense.running.runs import reserved
-
-    out = options.out or next(numbered(stem))
-    try:
-        return reserved(out, config, options.overwrite, replayed, prior, announce)
-    except FolderInUseError:  # a run that started at the same moment has taken it
-        if options.out is not None:
-            raise
-        return run_folder(options, config, stem, replayed, prior)
+def _base(start: str | Config, file: Path | None, name: str | None) -> Config:
+    """The configuration that the flags change, from where the command starts, a file, and a preset's name."""
+    base = start if isinstance(start, Config) and name is None else preset(name or str(start))
+    if file is None:
+        return base
+    named = read_table(file).get("preset")
+    if named is not None and name not in (None, named):
+        raise InputError("preset", f"found {shown(name)} with {file}, which names {shown(named)}", "one of the two")
+    return load_config(file, base if named is None else None)
 
 
 def numbered(stem: str) -> Iterator[Path]:
@@ -165,19 +146,17 @@ def numbered(stem: str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
-    """The hooks of `--view`, none without the option; a browser view stays open after the run until Ctrl-C."""
-    if options.view is None:
-        yield ()
+def live_view(target: str | None) -> Iterator[OnTick | None]:
+    """The hook of `--view`, None without a target; a browser view stays open after the run until Ctrl-C."""
+    if target is None:
+        yield None
         return
-    if not is_view_target(options.view):
-        raise InputError("view", f"found {shown(options.view)}", VIEW_TARGETS)
     from sixthsense.view.recording import View
 
-    with View(options.view) as view:
+    with View(target) as view:
         if view.page:
             announce(f"view: {view.page}")
-        yield (view,)
+        yield view
         view.finish()
         if view.page and not (view.is_interrupted or is_command_ended()):
             announce("the view stays open until Ctrl-C")
@@ -185,8 +164,30 @@ def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
                 view.wait()
 
 
+class Announcer(logging.Handler):
+    """Prints what is logged."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print the message of a record."""
+        announce(record.getMessage())
+
+
+@contextlib.contextmanager
+def announced() -> Iterator[None]:
+    """Print what the package logs in the block."""
+    log, prints = logging.getLogger("sixthsense"), Announcer()
+    level = log.level
+    log.addHandler(prints)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        log.removeHandler(prints)
+
+
 def announce(line: str) -> None:
-    """Print a status line, such as that the first run compiles, to stderr."""
+    """Print a status line to stderr."""
     print(as_options(line), file=sys.stderr)
 
 
@@ -202,10 +203,10 @@ def show_end(run: Run, options: Common) -> int:
     if left:
         places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
         lines["left unseen"] = f"{places}, the largest {left[0].reason}{_behind(left[0])}; --verbose lists them"
-    if run.folder is not None:
-        files = [run.folder / name for name in ("map.png", "map.yaml") if (run.folder / name).exists()]
-        lines |= {"files": ", ".join(map(str, files))} if files else {}
-        lines["report"] = f"sixthsense report {shlex.quote(str(run.folder))} writes figures/report.html"
+    folder = Path(run.folder or "")
+    files = [str(folder / name) for name in ("map.png", "map.yaml") if (folder / name).exists()]
+    lines |= {"files": ", ".join(files)} if files else {}
+    lines["report"] = f"sixthsense report {shlex.quote(str(folder))} writes figures/report.html"
     print(*(f"{label:12} {text}" for label, text in lines.items()), f"written to {run.folder}/", sep="\n")
     code = EXIT_CODES.get(run.outcome, FAILED)
     if options.strict and code == DONE and run.verdict is not None:

@@ -47,7 +47,7 @@ def _lines(parser: Parser, command: type[Options], topic: str) -> Iterator[str]:
         yield from _rows(own, is_brief)
         if sections:
             yield from ("", "settings:", *_rows(sections.pop(""), is_brief), "")
-            yield from _titles(sections) if is_brief else _pages(sections)
+        yield from _titles(sections) if is_brief else _pages(sections)
     elif pages := {path: page for path, page in sections.items() if f"{path}.".startswith(f"{wanted}.")}:
         yield from _pages(pages)
     else:
@@ -59,7 +59,7 @@ def _rows(options: Sequence[Option], is_brief: bool = False) -> Iterator[str]:
     """The lines of options; in brief the first sentence and the default, else the whole text and the allowed values."""
     for option in options:
         text = brief(option.field.description) if is_brief else option.field.description or ""
-        notes = {"default ": _default(option.value), "allowed: ": "" if is_brief else allowed(option.field)}
+        notes = {"default ": option.default_text, "allowed: ": "" if is_brief else allowed(option.field)}
         note = "; ".join(name + value for name, value in notes.items() if value)
         yield from _row(option.usage, f"{text} ({note})" if note else text)
 
@@ -67,21 +67,13 @@ def _rows(options: Sequence[Option], is_brief: bool = False) -> Iterator[str]:
 def _row(left: str, text: str) -> Iterator[str]:
     """The lines of a text in the right column, beside or below what is `left` of it."""
     first, indent = f"  {left}".ljust(_TEXT_COLUMN), " " * _TEXT_COLUMN
-    if is_long := len(first) > _TEXT_COLUMN or not text:
-        yield first.rstrip()
-    yield from _wrapped(text, indent, indent if is_long else first)
-
-
-def _default(value: Any) -> str:
-    """The default of an option, empty if that is none or false."""
-    numbers = value if isinstance(value, tuple) else (value,)
-    text = " ".join(f"{one:.4g}" if isinstance(one, float) else str(one) for one in numbers)
-    return {"None": "", "False": "", "True": "true"}.get(text, text)
+    is_long = len(first) > _TEXT_COLUMN
+    yield from [first.rstrip()] * (is_long or not text) + _wrapped(text, indent, indent if is_long else first)
 
 
 def _wrapped(text: str, indent: str = "", first: str = "") -> list[str]:
-    words = " ".join(text.split())
-    return textwrap.wrap(words, _WIDTH, initial_indent=first, subsequent_indent=indent, break_on_hyphens=False)
+    wrapper = textwrap.TextWrapper(_WIDTH, initial_indent=first, subsequent_indent=indent, break_on_hyphens=False)
+    return wrapper.wrap(" ".join(text.split()))
 
 
 def _titles(sections: dict[str, list[Option]]) -> Iterator[str]:

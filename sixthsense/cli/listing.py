@@ -8,9 +8,10 @@ from typing import Annotated
 
 from sixthsense.cli import COMMANDS, DONE, command_class
 from sixthsense.cli.help import Help, brief
-from sixthsense.cli.options import Arg, Options, Parser, Table, add_options, flag_name
+from sixthsense.cli.options import Arg, Options, Parser, Table, flag_name
 from sixthsense.config import PRESETS
 from sixthsense.config.parts import KINDS
+from sixthsense.config.section import choices_of
 from sixthsense.simulation.scene_files import shipped_scenes
 
 
@@ -31,27 +32,26 @@ class Scenes(Options):
 
 
 class Parts(Options):
-    """List the parts that can be replaced: the shipped ones, and those that installed packages register.
+    """List the parts that can be replaced, and the shipped ones.
 
     One of your own is named by its import path, `--estimator lab.fading:Fading`, wherever a name is taken. A part is
     code: the working folder is searched for one that the command line names, and `--parts DIR` for one that a file
-    names. Its options are the fields of its class `Options`: `--estimator-options.gain 0.9`. A
-    package gives it a short name in the entry points of the group.
+    names. Its options are the fields of its class `Options`: `--estimator-options.gain 0.9`.
     """
 
     def run(self, flags: Table) -> int:
         """List the parts."""
         for parts in KINDS:
-            print(f"--{flag_name(parts.kind)} (contract: {parts.seam}; group of entry points: {parts.group})")
-            for name, path in {**parts.shipped, **parts.installed()}.items():
-                print(f"  {name:16}  {path}{'' if name in parts.shipped else ', installed'}")
+            print(f"--{flag_name(parts.kind)} (contract: {parts.seam})")
+            for name, path in parts.shipped.items():
+                print(f"  {name:16}  {path}")
         return DONE
 
 
 def parser_of(name: str, command: type[Options]) -> Parser:
     """The parser of a command: its options, those of the configuration if it takes them, and the help."""
     parser = Parser(prog=f"sixthsense {name}", usage="")
-    add_options(parser, command)
+    parser.add_options(command)
     action = parser.add_argument("-h", "--help", action=Help, nargs="?", default=argparse.SUPPRESS)
     action.command = command  # type: ignore[attr-defined]
     return parser
@@ -65,9 +65,10 @@ def whole_parser() -> Parser:
     commands = root.add_subparsers()
     for name, (_, _, purpose) in COMMANDS.items():
         command = commands.add_parser(name, help=purpose)
-        add_options(command, command_class(name))
+        command.add_options(command_class(name))
         for option in command.options:
             option.help = brief(option.field.description).replace("%", "%%")
+            option.choices = choices_of(option.field) or None
             if option.dest in ("preset", "scene"):
                 option.choices = tuple(PRESETS if option.dest == "preset" else shipped_scenes())
             elif option.kind is Path or "DIR" in option.arg.metavar or not option.option_strings:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field
 
 from sixthsense.cli import EXIT_CODES, FAILED
-from sixthsense.cli.common import OfScene, WithPriorMap, announce, live_view, run_folder, show_end
+from sixthsense.cli.common import OfScene, WithPriorMap, announce
 from sixthsense.cli.options import Arg, Options, Table
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.live.network import LOOPBACK, Network, dds, domain_of_environment
+
+if TYPE_CHECKING:
+    from sixthsense.figures.run import Run
+    from sixthsense.loop.run import OnTick
 
 
 class OnNetwork(Options):
@@ -29,9 +33,8 @@ class OnNetwork(Options):
         domain = domain_of_environment() if self.domain is None else self.domain
         if os.environ.get("CYCLONEDDS_URI"):
             announce("CYCLONEDDS_URI is not used: `interface` is")
-        network = Network(domain, self.interface)
         dds("core")
-        return network
+        return Network(domain, self.interface)
 
 
 class Live(OnNetwork, WithPriorMap):
@@ -60,35 +63,32 @@ class Live(OnNetwork, WithPriorMap):
 
     def run(self, flags: Table) -> int:
         """Run SLAM on a robot."""
-        for name in Live.refused:
-            if name in flags:
-                raise InputError(name, "found on a robot", "with run")
-        network = self.network()
-        from sixthsense.api import with_task
+        own = (f"laser.{name}" for name in flags.get("laser", {}) if name not in ("mount", "max_range", "mirrored"))
+        network, config = self.network(), self.settings
+        for name in (*(name for name in Live.refused if name in flags), *own, *["no_odometry"] * config.no_odometry):
+            raise InputError(name, "found on a robot", "with run or replay")
         from sixthsense.live.session import Session, Topics, check_drive
-        from sixthsense.running.runs import RunHooks, run_live
+        from sixthsense.record.store import prior_start
+        from sixthsense.running.runs import RunHooks, reserved, run_live
         from sixthsense.running.warmup import prepare
 
         topics = Topics(self.scan, self.odom, self.cmd_vel).checked()
-        config = with_task(self.settings, flags)
         if self.drive:
             check_drive(config)
-        if config.no_odometry:
-            raise InputError("no_odometry", "found on a robot", "with replay, of a log of its scans")
-        for name in flags.get("laser", {}):
-            if name not in ("mount", "max_range", "mirrored"):
-                raise InputError(f"laser.{name}", "found on a robot, which describes its laser", "`laser.mount`")
-        prior = self.prior_start()
-        prepare(announce, config, of_log=not self.drive)
-        with Session(network, topics, config, announce) as session, live_view(self) as hooks:
+        prior = prior_start(**self.prior())
+        prepare(config, of_log=not self.drive)
+        with Session(network, topics, config, announce) as session:
             session.configure(self.drive)
-            config = session.config
             source = {"scan": topics.scan, "odom": topics.odom}
-            with run_folder(self, config, f"live-{config.estimator}", source, prior) as folder:
-                run = run_live(session, self.drive, folder, RunHooks(hooks, say=announce), prior)
-                if counts := session.notices.summary():
-                    announce(f"dropped or happened: {counts}")
-                return show_end(run, self)
+
+            def run(on_tick: OnTick, out: Path, overwrite: bool) -> Run:
+                with reserved(out, session.config, overwrite, source, prior) as folder:
+                    return run_live(session, self.drive, folder, RunHooks(on_tick), prior)
+
+            code = self.started(run, f"live-{config.estimator}")
+            if counts := session.notices.summary():
+                announce(f"dropped or happened: {counts}")
+            return code
 
 
 class Simulate(OnNetwork, OfScene):
@@ -104,26 +104,25 @@ class Simulate(OnNetwork, OfScene):
 
     def run(self, flags: Table) -> int:
         """Simulate a robot."""
-        config = self.settings_of_scene()
         network = self.network()
-        from sixthsense.api import with_task
         from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
+        from sixthsense.loop.run import combined_hooks
+        from sixthsense.running.progress import paced
         from sixthsense.running.runs import RunHooks, simulate
         from sixthsense.running.warmup import prepare
         from sixthsense.simulation.mission import mission_of
 
         drives_itself = bool({"task", "goal", "tour"} & set(flags))
-        config, task = mission_of(with_task(config, flags))
+        config, task = mission_of(self.settings)
         with SimulatedRobot(network, config, not drives_itself) as robot:
             if robot.leak:
                 announce(f"interface: {robot.leak}")
-            prepare(announce)
+            prepare()
             robot.begin(self.truth)
             announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
             if drives_itself:
-                outcome = simulate(
-                    config, task, None, RunHooks((lambda tick, _: robot.send(tick),), False, realtime=True)
-                ).outcome
+                hook = combined_hooks(lambda tick, _: robot.send(tick), paced())
+                outcome = simulate(config, task, None, RunHooks(hook, progress=False)).outcome
             else:
                 outcome = drive_by_commands(robot, config, task, self.timeout)
         print(f"collisions: {int(outcome == 'collided')}")

@@ -9,21 +9,21 @@ import argparse
 import contextlib
 import re
 import typing
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from pydantic.fields import FieldInfo
 
-from sixthsense.config import Config, Section, preset
+from sixthsense.config import Section, preset
 from sixthsense.config.errors import InputError, nearest
 from sixthsense.config.parts import KINDS
-from sixthsense.config.section import choices_of, kind_of, shown, shown_name
+from sixthsense.config.section import kind_of, shown, shown_name
 
 Table = dict[str, Any]
 
 _POINTS = {2: "X Y", 3: "X Y THETA", 4: "X0 Y0 X1 Y1"}
+_LISTS = {float: "X Y ...", str: "NAME ..."}
 _METAVARS = {int: "N", float: "X", str: "NAME", Path: "FILE"}
 _SWITCHED = ("true", "false")
 
@@ -50,6 +50,8 @@ class Options(Section):
     """the preset whose values the help shows"""
     refused: ClassVar[tuple[str, ...]] = ()
     """options, and fields and sections of the configuration, that the help leaves out"""
+    several: ClassVar[tuple[str, ...]] = ()
+    """fields of the configuration that take several values"""
 
     def run(self, flags: Table) -> int:
         """Run the command; returns the exit code. `flags` has the fields of the configuration that options have set."""
@@ -76,6 +78,13 @@ class Option(argparse.Action):
         setattr(namespace, self.dest, values)
 
     @property
+    def default_text(self) -> str:
+        """The default in the help, empty if that is none or false."""
+        numbers = self.value if isinstance(self.value, tuple) else (self.value,)
+        text = " ".join(f"{one:.4g}" if isinstance(one, float) else str(one) for one in numbers)
+        return {"None": "", "False": "", "True": "true"}.get(text, text)
+
+    @property
     def usage(self) -> str:
         """Flag and value in the help."""
         value = self.arg.metavar or " ".join([self.metavar] if isinstance(self.metavar, str) else self.metavar or ())
@@ -96,65 +105,53 @@ class Parser(argparse.ArgumentParser):
         """Those that set a field."""
         return [action for action in self._actions if isinstance(action, Option)]
 
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """The models check it."""
+    def add_options(self, command: type[Options]) -> None:
+        """Add a command's own options, then those of the configuration, if it takes them."""
+        for name, field in command.model_fields.items():
+            if name != "settings":
+                self._add(name, field, command, field.get_default())
+        for name, field, owner, value in _leaves(preset(command.base)) if command.takes_fields else ():
+            if name not in command.model_fields:
+                self._add(name, field, owner, value, name in command.several)
+
+    def _add(self, name: str, field: FieldInfo, owner: type[Section], value: Any, takes_several: bool = False) -> None:
+        """Add the option of a field."""
+        kind, arg = _kind_of(field)
+        items = _items(kind)
+        is_list, inner = items[-1] is Ellipsis or takes_several, _items(items[0])[0]
+        usual = _METAVARS.get(kind, _POINTS.get(len(items), "NAME"))
+        metavar = arg.metavar or (_LISTS[inner] if is_list else usual)
+        options: Table = {"field": field, "owner": owner, "value": value}
+        options |= {"metavar": metavar, "type": _number if inner in (int, float) else Path if inner is Path else str}
+        if arg.is_positional:
+            self.add_argument(name, action=Option, nargs="*" if is_list else "?", **options)
+            return
+        flags, options["dest"] = [f"--{arg.flag or flag_name(name)}"], name
+        if kind is bool:
+            flags += [re.sub(r"^(.*\.|--)", r"\1no-", flags[0])]
+            options["nargs"] = 0
+        elif arg.without is not None:
+            options |= {"nargs": "?", "const": arg.without}
+        elif is_list:
+            options["nargs"] = "+"
+        elif len(items) > 1:
+            options |= {"nargs": len(items), "metavar": tuple(metavar.split())}
+        self.add_argument(*flags, action=Option, **options)
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError for an option with too few values, or a command line that is wrong in another way."""
-        found = re.fullmatch(r"argument (\S+): expected (.*)", message)
-        if found is None:
-            raise InputError("arguments", message)
-        expected = found[2].replace("argument", "value")
-        what = "nothing" if "one" in expected else "too few values"
-        raise InputError(found[1].split("/")[0], f"found {what}", expected)
+        flag, _, expected = message.removeprefix("argument ").partition(": expected ")
+        raise InputError(flag.split("/")[0], "found too few values", expected.replace("argument", "value"))
 
 
-def add_options(parser: argparse.ArgumentParser, command: type[Options]) -> None:
-    """Add a command's own options, then those of the configuration, if it takes them."""
-    _add_model(parser, command, lambda name: command.model_fields[name].get_default())
-    if command.takes_fields:
-        settings = preset(command.base)
-        _add_model(parser, Config, partial(getattr, settings), taken=command.model_fields)
-
-
-def _add_model(
-    parser: argparse.ArgumentParser,
-    model: type[Section],
-    value_of: Callable[[str], Any],
-    path: str = "",
-    taken: Iterable[str] = (),
-) -> None:
-    """Add the options of a model, and those of the sections in it behind its own."""
-    values = {name: value_of(name) for name in model.model_fields}
-    for name, value in values.items():
-        if not isinstance(value, Section | dict) and name not in taken:
-            _add_option(parser, f"{path}{name}", model.model_fields[name], model, value)
-    for name, value in values.items():
-        if isinstance(value, Section) and name != "settings":
-            _add_model(parser, type(value), partial(getattr, value), f"{path}{name}.")
-
-
-def _add_option(parser: argparse.ArgumentParser, name: str, field: FieldInfo, owner: type[Section], value: Any) -> None:
-    kind, arg = _kind_of(field)
-    items = _items(kind)
-    is_list, inner = items[-1] is Ellipsis, _items(items[0])[0]
-    metavar = arg.metavar or ("X Y ..." if is_list else _METAVARS.get(kind, _POINTS.get(len(items), "NAME")))
-    options: Table = {"field": field, "owner": owner, "value": value, "choices": choices_of(field) or None}
-    options |= {"metavar": metavar, "type": _number if inner in (int, float) else Path if inner is Path else str}
-    if arg.is_positional:
-        parser.add_argument(name, action=Option, nargs="*" if is_list else "?", **options)
-        return
-    flags, options["dest"] = [f"--{arg.flag or flag_name(name)}"], name
-    if kind is bool:
-        flags += [re.sub(r"^(.*\.|--)", r"\1no-", flags[0])]
-        options["nargs"] = 0
-    elif arg.without is not None:
-        options |= {"nargs": "?", "const": arg.without}
-    elif is_list:
-        options["nargs"] = "+"
-    elif len(items) > 1:
-        options |= {"nargs": len(items), "metavar": tuple(metavar.split())}
-    parser.add_argument(*flags, action=Option, **options)
+def _leaves(section: Section, path: str = "") -> Iterator[tuple[str, FieldInfo, type[Section], Any]]:
+    """Dotted name, field, model and value of each setting, those of the sections in a section behind its own."""
+    for name, value in section:
+        if not isinstance(value, Section | dict):
+            yield f"{path}{name}", type(section).model_fields[name], type(section), value
+    for name, value in section:
+        if isinstance(value, Section):
+            yield from _leaves(value, f"{path}{name}.")
 
 
 def parse(parser: Parser, args: Sequence[str]) -> tuple[Table, Table]:
@@ -200,10 +197,9 @@ def _words(parser: Parser, args: Sequence[str]) -> list[str]:
 def _too_many(word: str, given: Table, options: Sequence[Option]) -> InputError:
     """The error for a word that no option takes."""
     if not word.startswith("-"):
-        for option in options:
-            if not option.option_strings:
-                return InputError(option.dest, f"found {shown(given.get(option.dest))} and {shown(word)}", "one")
-        return InputError("arguments", f"found {shown(word)}", "options alone")
+        name = next((option.dest for option in options if not option.option_strings), "arguments")
+        found = " and ".join(shown(one) for one in (given.get(name), word) if one is not None)
+        return InputError(name, f"found {found}", "one" if name in given else "options alone")
     flag = word.partition("=")[0]
     flags = [option.option_strings[0] for option in options if option.option_strings]
     within = [known for known in flags if known.startswith(f"{flag}.")]
@@ -253,5 +249,4 @@ def _kind_of(field: FieldInfo) -> tuple[Any, Arg]:
 
 def _items(kind: Any) -> tuple[Any, ...]:
     """The types of a field's values: of one, of several, or of any number where the last is an ellipsis."""
-    inner = typing.get_args(kind)[0] if typing.get_origin(kind) is Annotated else kind
-    return typing.get_args(inner) if typing.get_origin(inner) is tuple else (inner,)
+    return typing.get_args(kind) if typing.get_origin(kind) is tuple else (kind,)

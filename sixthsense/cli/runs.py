@@ -1,15 +1,22 @@
-"""`sixthsense run`, `replay` and `merge`."""
+"""Commands that make runs: `sixthsense run`, `replay`, `merge`, `calibrate` and `campaign`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from sixthsense.cli.common import Common, OfScene, WithPriorMap, announce, live_view, run_folder, show_end
-from sixthsense.cli.options import Arg, Table
-from sixthsense.config import Config, is_of_replay
+from pydantic import Field
+
+from sixthsense.cli import DONE, FAILED, INTERRUPTED
+from sixthsense.cli.common import Common, OfScene, WithPriorMap
+from sixthsense.cli.options import Arg, Options, Table
+from sixthsense.config import Config, load_config, notes_of
 from sixthsense.config.errors import InputError
-from sixthsense.config.parts import OF_THE_ROBOT
+from sixthsense.config.files import NOTES, read_table
+from sixthsense.config.parts import KINDS, OF_THE_ROBOT, import_named
+from sixthsense.config.tree import task_of
+from sixthsense.simulation.scene_files import scene_file
 
 
 class Run(WithPriorMap, OfScene):
@@ -20,23 +27,13 @@ class Run(WithPriorMap, OfScene):
 
     def run(self, flags: Table) -> int:
         """Simulate a scene."""
-        if self.config is not None and is_of_replay(self.config):
+        if self.config is not None and "replayed" in notes_of(self.config):
             raise InputError("config", f"{self.config} is of a replay", "sixthsense replay LOG `config` FILE")
-        config = self.settings_of_scene()
-        from sixthsense.api import with_task
-        from sixthsense.running.runs import RunHooks, simulate
-        from sixthsense.simulation.mission import mission_of
+        from sixthsense import api
+        from sixthsense.running.progress import paced
 
-        prior = self.prior_start()
-        config, task = mission_of(with_task(config, flags))
-        for note in task.scene.notes:
-            announce(f"note: {task.scene.name}: {note}")
-        with (
-            run_folder(self, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
-            live_view(self) as hooks,
-        ):
-            watch = RunHooks(hooks, realtime=self.realtime, say=announce)
-            return show_end(simulate(config, task, folder, watch, prior), self)
+        stem = f"{Path(self.settings.scene).stem}-{self.settings.estimator}"
+        return self.started(api.run, stem, self.settings, hook=paced() if self.realtime else None, **self.prior())
 
 
 class Replay(WithPriorMap):
@@ -69,26 +66,14 @@ class Replay(WithPriorMap):
 
     def run(self, flags: Table) -> int:
         """Replay a log."""
-        from sixthsense.logs.replay_input import LogSelection, check_options, check_out, open_recorded
+        from sixthsense import api
+        from sixthsense.logs.replay_input import LogSelection, check_options
 
-        given = self.topics, self.odometry_frames
-        topics, frames = (tuple(words.split(",")) if words else () for words in given)
-        chosen = LogSelection(topics, self.robot, frames)
-        check_options(self.log, flags, chosen)
-        if self.log is None:
-            raise InputError(
-                "log", "found nothing", "a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
-            )
-        check_out(self.log, self.out)
-        from sixthsense.running.runs import RunHooks, replay_log
-
-        prior = self.prior_start()
-        found = open_recorded(self.log, self.settings, self.relations, chosen)
-        for note in found.notes:
-            announce(f"note: {found.name}: {note}")
-        stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
-        with run_folder(self, found.config, stem, found.files, prior) as folder, live_view(self) as hooks:
-            return show_end(replay_log(found, folder, RunHooks(hooks, say=announce), prior), self)
+        check_options(self.log, flags, LogSelection())
+        stem = f"{Path(self.log or '').absolute().name.split('.')[0]}-{self.settings.estimator}"
+        given = {"topics": self.topics, "odometry_frames": self.odometry_frames}
+        chosen = {name: tuple(words.split(",")) if words else () for name, words in given.items()} | self.prior()
+        return self.started(api.replay, stem, self.log, self.settings, self.relations, robot=self.robot, **chosen)
 
 
 class Merge(Common):
@@ -105,33 +90,131 @@ class Merge(Common):
 
     @classmethod
     def start(cls, given: Table) -> str | Config:
-        """The configuration of the first run; InputError for other than two, and for what is no folder of a run."""
-        from sixthsense.config.files import instead_of
-        from sixthsense.logs import is_run_folder
+        """The configuration of the first run; InputError for other than two."""
         from sixthsense.logs.replay_input import base_of
 
         runs = given.get("runs", ())
         if len(runs) != 2:
             raise InputError("runs", f"found {' '.join(runs) or 'nothing'}", "the folders of two runs")
-        for run in runs:
-            if not is_run_folder(Path(run)):
-                raise InputError(run, f"found {instead_of(Path(run), 'config.toml')}", "the folder of a run")
         return base_of(runs[0])
 
     def run(self, flags: Table) -> int:
         """Merge two runs."""
-        from sixthsense.logs.replay_input import LogSelection, check_options, check_out
+        from sixthsense import api
+        from sixthsense.logs.replay_input import LogSelection, check_options
 
-        first, second = self.runs
-        check_options(first, flags, LogSelection())
-        for run in self.runs:
-            check_out(run, self.out)
-        from sixthsense.running.merging import open_merged, replay_merged
-        from sixthsense.running.runs import RunHooks
+        check_options(self.runs[0], flags, LogSelection())
+        names = (Path(run).absolute().name for run in self.runs)
+        return self.started(api.merge_runs, "-".join(names), *self.runs, config=self.settings)
 
-        announce(f"looking for {second} in the map of {first}")
-        merged = open_merged(Path(first), Path(second), self.settings)
-        for note in merged.notes:
-            announce(f"note: {note}")
-        with run_folder(self, merged.config, merged.name, merged.files) as folder, live_view(self) as hooks:
-            return show_end(replay_merged(merged, folder, RunHooks(hooks, say=announce)), self)
+
+class Calibrate(OfScene):
+    """Measure the robot's noise against the truth, and write it as a configuration for `run --config`."""
+
+    out: Annotated[Path | None, Arg("FILE")] = None
+    """TOML file to write, a partial configuration; its figure is written beside it as .png."""
+    overwrite: bool = False
+    """Replace the file and its figure if they exist."""
+    samples: int = 100
+    """Samples of motion, one every half second."""
+
+    def run(self, flags: Table) -> int:
+        """Measure the robot's noise."""
+        if self.out is None:
+            raise InputError("out", "found nothing", "a file to write, such as noise.toml")
+        from tqdm import tqdm
+
+        from sixthsense.evaluation.calibrate import calibrate, check_output, summary
+        from sixthsense.figures.calibration import write_calibration
+        from sixthsense.running.warmup import prepare
+
+        config, scene = self.settings, scene_file(self.settings.scene)
+        check_output(self.out, self.overwrite)
+        prepare()
+        with tqdm(total=self.samples, desc="calibrate", unit=" samples", disable=None, leave=False) as bar:
+            found = calibrate(config, self.samples, bar.update)
+        title = f"calibration · {scene.stem} · {config.preset} · seed {config.seed}"
+        write_calibration(found, config, self.out, title)
+        print("\n".join(summary(found)))
+        print(f"written to {self.out} and {self.out.with_suffix('.png')}")
+        return DONE
+
+
+class Campaign(Options):
+    """Monte Carlo: run every scene with every preset, estimator, other part and seed, and keep metrics of each run.
+
+    The same command resumes a campaign that was stopped. With more scenes, seeds, ... it makes the missing runs only.
+
+    Every field of the configuration is also an option, with one value for all runs: --task tour, --max-time 400,
+    --laser.beams 181, ...; `sixthsense run --help` lists them. The preset and the parts may have
+    several values, which are compared: --preset default worn, --estimator ekf isam2.
+
+    Exit code: 0 when all rows are complete, 1 when some have the outcome "error", 130 after Ctrl-C, 2 for bad input.
+    """
+
+    takes_fields: ClassVar[bool] = True
+    several: ClassVar[tuple[str, ...]] = ("preset", *(parts.kind for parts in KINDS))
+
+    scene: Annotated[tuple[str, ...], Arg("[SCENE ...]", is_positional=True)] = ()
+    """Shipped names or files (.toml or map_server .yaml), before all options."""
+    seeds: Annotated[tuple[str, ...], Arg("FIRST:LAST ...")] = ()
+    """Seeds from FIRST to LAST, LAST excluded; several ranges and single seeds may be given."""
+    config: Path | None = None
+    """TOML file, partial or complete, that overrides each preset."""
+    out: Annotated[Path | None, Arg("DIR")] = None
+    """Folder to write: campaign.toml, rows.jsonl and curves/; ss.load_campaign(DIR) reads it."""
+    retry_failed: bool = False
+    """Repeat the runs with the outcome "error"; without it they count as done."""
+    parts: Annotated[Path | None, Arg("DIR")] = None
+    """Folder to search for parts of your own, also for those that only a file names. A part is code that is run."""
+    workers: Annotated[int | None, Field(ge=1, le=1024)] = None
+    """Processes of this machine; by default one per processor."""
+
+    def run(self, flags: Table) -> int:
+        """Make the runs of a campaign that are missing in its folder."""
+        if "seed" in flags:
+            raise InputError("seed", "found for a campaign", "`seeds` FIRST:LAST")
+        if not self.seeds:
+            raise InputError("seeds", "found nothing", "FIRST:LAST, such as 0:100")
+        if self.out is None:
+            raise InputError("out", "found nothing", "a folder to write")
+        from sixthsense.campaigns.call import campaign, load_campaign
+        from sixthsense.campaigns.folder import CampaignRows
+        from sixthsense.campaigns.plan import AXES, seed_range, shared_fields
+        from sixthsense.campaigns.plan import FAILED as FAILED_RUN
+
+        file = _file_of_campaign(self.config, flags.get("preset", ()))
+        if self.parts is not None:
+            import_named(file, self.parts)
+        given = {**flags, **({"scene": self.scene} if self.scene else {})}
+        axes = {axis: table[axis] for table in (file, given) for axis in AXES if axis in table}
+        fields, code = {**shared_fields(file, task_of(flags), flags), **axes}, DONE
+        fields |= {"seeds": [seed for text in self.seeds for seed in seed_range(text)], "out": self.out}
+        try:
+            campaign(fields.pop("scene", "apartment"), workers=self.workers, retry_failed=self.retry_failed, **fields)
+        except KeyboardInterrupt:
+            code = INTERRUPTED
+        rows = CampaignRows(self.out).frame()
+        if len(rows):
+            print(load_campaign(self.out).summary().to_string())
+        failed = rows[rows["outcome"] == FAILED_RUN]
+        for row in failed.to_dict("records")[:1]:
+            where = " ".join(str(row[name]) for name in ("scene", "estimator", "preset", "planner"))
+            print(f"{len(failed)} runs failed, first {where} seed {row['seed']}: {row['error']}")
+            code = code or FAILED
+        if code != INTERRUPTED:
+            print(f"written to {self.out}/: {len(rows)} runs")
+        return code
+
+
+def _file_of_campaign(path: Path | None, presets: Sequence[str]) -> Table:
+    """The table of a configuration file, which is validated; {} without a file."""
+    if path is None:
+        return {}
+    load_config(path)
+    table = read_table(path)
+    if "replayed" in table:
+        raise InputError("config", f"{path} is of a replay", "the configuration of a simulated run")
+    if presets and "preset" in table:
+        raise InputError("preset", f"found with {path}, which names a preset", "one of the two")
+    return {name: value for name, value in table.items() if name not in NOTES}

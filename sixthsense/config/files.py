@@ -1,4 +1,4 @@
-"""Configurations in TOML files."""
+"""Presets, named sets of values over the defaults in `presets.toml`, and configurations in TOML files."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
-from sixthsense.config.errors import InputError
-from sixthsense.config.presets import preset
+from sixthsense.config.errors import InputError, nearest
+from sixthsense.config.parts import import_named
 from sixthsense.config.section import as_table, merge, shown
 from sixthsense.config.sections import Config
 from sixthsense.config.version import __version__
+
+if TYPE_CHECKING:
+    from sixthsense.config.fields import Fields
 
 _MOST_BYTES = 1 << 23
 """of a configuration or a scene: a larger file is none, and reading it may take long"""
@@ -21,6 +24,21 @@ _MOST_BYTES = 1 << 23
 _DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){20}""")
 NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
+Note = Mapping[str, Any] | None
+
+
+PRESETS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("presets.toml").read_text("utf-8"))
+
+
+def preset(name: str = "default", **changes: Unpack[Fields]) -> Config:
+    """The named preset's Config, with the fields in `changes` (nested tables for sections) replaced.
+
+    Raises InputError that lists the known names for any other, or names the field with a wrong value.
+    """
+    if name not in tuple(PRESETS):  # a file may hold a list there, which is not hashable
+        raise InputError("preset", f"found {shown(name)}", ", ".join(PRESETS), nearest(name, PRESETS))
+    import_named(changes)
+    return merge(merge(Config(preset=name), PRESETS[name]).as_implied(), changes)
 
 
 def path_of(name: str, value: object) -> Path:
@@ -56,28 +74,19 @@ def read_table(file: str | Path) -> dict[str, Any]:
     """The nested table of a TOML file; InputError for a file that cannot be read, or is not TOML."""
     path = Path(file)
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():
-            raise InputError(path, "is a pipe or a device", "a TOML file")
-        if path.is_file() and path.stat().st_size > _MOST_BYTES:
-            raise InputError(path, f"found {path.stat().st_size:,} bytes", f"at most {_MOST_BYTES:,}")
+        if path.exists() and not (path.is_dir() or (path.is_file() and path.stat().st_size <= _MOST_BYTES)):
+            raise InputError(path, f"is a pipe, a device, or has over {_MOST_BYTES:,} bytes", "a TOML file")
         with path.open(encoding="utf-8-sig") as stream:
             return parse_toml(stream.read())
     except InputError:
         raise
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "is not UTF-8 text", "a TOML file") from None
     except ValueError as error:
         raise InputError(path, str(error)) from None
 
 
-def save_config(
-    config: Config,
-    file: str | Path,
-    replayed: Mapping[str, str] | None = None,
-    prior_map: Mapping[str, Any] | None = None,
-) -> None:
+def save_config(config: Config, file: str | Path, replayed: Note = None, prior_map: Note = None) -> None:
     """Write the whole tree as TOML, with the versions that ran it and, for a replay, the files that were `replayed`.
 
     `prior_map` says which one the run began with. `load_config` reads the same Config.
@@ -89,8 +98,8 @@ def save_config(
 
     versions = {"sixthsense": __version__, "python": platform.python_version()}
     versions |= {name: version(name) for name in ("numpy", "scipy", "numba")}
-    notes: dict[str, Any] = {"versions": versions} | ({} if replayed is None else {"replayed": dict(replayed)})
-    notes |= {} if prior_map is None else {"prior_map": dict(prior_map)}
+    tables = zip(NOTES, (versions, replayed, prior_map), strict=True)
+    notes = {name: dict(note) for name, note in tables if note is not None}
     Path(file).write_text(tomli_w.dumps({**as_table(config), **notes}), encoding="utf-8")
 
 
@@ -99,15 +108,9 @@ def absolute(path: str | Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def is_of_replay(file: str | Path) -> bool:
-    """Whether a valid configuration file was saved by a replay."""
-    return "replayed" in read_table(file)
-
-
-def prior_map_of(file: str | Path) -> dict[str, Any] | None:
-    """What a valid configuration file says of the prior map of its run: name, digest and start; None without one."""
-    note = read_table(file).get("prior_map")
-    return dict(note) if isinstance(note, Mapping) else None
+def notes_of(file: str | Path) -> dict[str, Any]:
+    """The tables of `NOTES` in a valid configuration file: `replayed` if a replay has saved it, `prior_map` if any."""
+    return {name: note for name, note in read_table(file).items() if name in NOTES}
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The parts that can be replaced, and what their names stand for: shipped ones, registered ones, any import path."""
+"""The parts that can be replaced, and what their names stand for: shipped ones, and any import path."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*
 class Parts:
     """The names of one kind of part, such as estimators.
 
-    Shipped ones have short names. A package that is installed registers names in the entry points' group `group`. Any
-    other part is named by its import path, `MODULE:NAME`.
+    Shipped ones have short names. Any other part is named by its import path, `MODULE:NAME`.
     """
 
     def __init__(
@@ -34,25 +33,15 @@ class Parts:
         `sections` are those of the configuration that hold the options of shipped ones, by name.
         """
         self.kind, self.seam, self.shipped, self.sections = kind, seam, shipped, sections
-        self.group = f"sixthsense.{kind}{'es' if kind.endswith('h') else 's'}"
-        """of the entry points in which packages register theirs"""
 
     def __contains__(self, name: object) -> bool:
-        if not isinstance(name, str):
-            return False
-        return name in self.shipped or _PATH.fullmatch(name) is not None or name in self.installed()
+        return isinstance(name, str) and (name in self.shipped or _PATH.fullmatch(name) is not None)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.shipped)
 
     def __str__(self) -> str:
         return ", ".join((*self.shipped, "MODULE:NAME"))
-
-    def installed(self) -> dict[str, str]:
-        """Import paths of the parts that installed packages register, by name."""
-        from importlib.metadata import entry_points
-
-        return {point.name: point.value for point in entry_points(group=self.group) if point.name not in self.shipped}
 
     def name_of(self, part: Any) -> Any:
         """The import path of a class or function; any other value is returned as it is.
@@ -89,8 +78,8 @@ class Parts:
 
         Its module may lie in `folder`, which is searched last, and for this import alone.
         """
-        path = self.shipped.get(name) or (name if ":" in name else self.installed().get(name))
-        if path is None:
+        path = self.shipped.get(name, name)
+        if ":" not in path:
             raise InputError(self.kind, f"found {name!r}", str(self), nearest(name, self.shipped))
         try:
             part = _imported(path, folder)
@@ -144,10 +133,9 @@ def import_named(given: Mapping[str, Any], folder: str | Path | None = None) -> 
 
 def import_again(found: Mapping[tuple[str, str], str]) -> None:
     """Import in another process what `searched` has."""
-    for parts in KINDS:
-        for (kind, name), folder in found.items():
-            if kind == parts.kind:
-                parts.load(name, folder)
+    kinds = {parts.kind: parts for parts in KINDS}
+    for (kind, name), folder in found.items():
+        kinds[kind].load(name, folder)
 
 
 FILTERS = ("ekf", "ekf-invariant")

@@ -54,7 +54,7 @@ def _plain(value: Any) -> Any:
 
 
 class Section(BaseModel):
-    """A node of the tree of settings: frozen, validated when it is made, and it knows what was stated.
+    """A node of the tree of settings: frozen, validated when it is made, and `model_fields_set` is what was stated.
 
     Raises InputError with the dotted name of a field that does not exist or whose value is not allowed.
     """
@@ -78,11 +78,6 @@ class Section(BaseModel):
         if isinstance(value, str | Path) and not is_one_line(str(value)):
             raise InputError("", f"found {shown(str(value))}", "a text without line breaks or control characters")
         return _plain(value)
-
-    @property
-    def explicit_fields(self) -> set[str]:
-        """Names of the fields that a caller, a file or an option has stated; all others are defaults or of a preset."""
-        return self.model_fields_set
 
     def as_implied(self) -> Self:
         """The same values, of which none counts as stated."""
@@ -169,8 +164,6 @@ def kind_of(field: FieldInfo) -> tuple[Any, list[Any]]:
 def choices_of(field: FieldInfo) -> tuple[str, ...]:
     """The values of a field, if they can be listed."""
     kind, notes = kind_of(field)
-    if typing.get_origin(kind) is tuple:
-        notes += getattr(typing.get_args(kind)[0], "__metadata__", ())
     names = [name for note in notes if isinstance(note, Parts) for name in note]
     return tuple(names) or (typing.get_args(kind) if typing.get_origin(kind) is Literal else ())
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import logging
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
 from sixthsense.config.errors import InputError, PartError, nearest, reason_of
+from sixthsense.config.files import absolute
 from sixthsense.config.parts import KINDS, Parts, options_class
-from sixthsense.config.section import input_error, merge, shown
+from sixthsense.config.section import input_error, merge, shown_name
 from sixthsense.config.sections import Config
+
+_log = logging.getLogger(__name__)
 
 
 class Part(NamedTuple):
@@ -27,11 +32,6 @@ class Part(NamedTuple):
     """an object of its `Options`"""
     members: tuple[str, ...] = ()
     """what its protocol has, and it must have; empty for a shipped one"""
-
-    @property
-    def is_shipped(self) -> bool:
-        """Whether it is no user's own."""
-        return not self.members
 
     def make(self, *args: Any) -> Any:
         """Make it; its options are the last argument, if it has any. Raises PartError for one that cannot be made."""
@@ -80,23 +80,21 @@ def naming_parts(config: Config, when: str, check: Callable[[], None]) -> Iterat
     except InputError:
         raise
     except Exception as error:
-        own = [parts for parts in KINDS if getattr(config, parts.kind) not in parts.shipped]
-        files = {file: parts.kind for parts in own for file in code_files(parts.load(getattr(config, parts.kind)))}
-        for frame in reversed(traceback.extract_tb(error.__traceback__)):
-            if (kind := files.get(frame.filename)) is not None:
-                found = f"{frame.name} raised {type(error).__name__} in line {frame.lineno} ({reason_of(error)})"
-                raise PartError(f"{kind} {getattr(config, kind)}", found, when) from error
+        own = own_parts(config)
+        modules = {parts.load(name).__module__: f"{parts.kind} {name}" for parts, name in own.items()}
+        for frame, line in reversed([*traceback.walk_tb(error.__traceback__)]):
+            if (part := modules.get(frame.f_globals.get("__name__", ""))) is not None:
+                found = f"{frame.f_code.co_name} raised {type(error).__name__} in line {line} ({reason_of(error)})"
+                raise PartError(part, found, when) from error
         if own:
             with naming_parts(Config(), when, check):
                 check()
         raise
 
 
-def code_files(part: Any) -> set[str]:
-    """Files, or cells of a notebook, that hold the code of a class or function."""
-    part = inspect.unwrap(part)
-    members = [inspect.unwrap(one) for one in vars(part).values() if callable(one)] if inspect.isclass(part) else [part]
-    return {one.__code__.co_filename for one in members if hasattr(one, "__code__")}
+def own_parts(config: Config) -> dict[Parts, str]:
+    """The names of the configured parts that are not shipped."""
+    return {parts: name for parts in KINDS if (name := getattr(config, parts.kind)) not in parts.shipped}
 
 
 def part_of(config: Config, parts: Parts) -> Part:
@@ -117,20 +115,27 @@ def with_checked_parts(config: Config) -> Config:
     Raises InputError for a part that cannot be imported, and for options that it does not have.
     """
     for parts in KINDS:
-        if (given := getattr(config, f"{parts.kind}_options")) or getattr(config, parts.kind) not in parts.shipped:
+        given = getattr(config, f"{parts.kind}_options")
+        if given or getattr(config, parts.kind) not in parts.shipped:
             options = part_of(config, parts).options
             config = config.replaced(**{f"{parts.kind}_options": {name: getattr(options, name) for name in given}})
     return config
 
 
-def applied(base: Config, given: Mapping[str, Any], say: Callable[[str], object]) -> Config:
-    """`base` with the `given` fields; `say` gets a line for each part that follows from them and is not among them."""
-    found = merge(base, given)
+def applied(base: Config, given: Mapping[str, Any]) -> Config:
+    """`base` with the `given` fields, a goal or a tour of which sets the task; its parts have their options checked.
+
+    The path of a scene's file is made absolute, so that the run can be repeated from any working folder. A part that
+    follows from the fields and is not among them is logged.
+    """
+    found = merge(base, {**given, **task_of(given)})
+    if Path(found.scene).suffix:
+        found = found.replaced(scene=str(absolute(found.scene)))
     for name in ("estimator", "front_end"):
         old, new = getattr(base, name), getattr(found, name)
         if name not in given and new != old:
-            say(f"{name} is {new} in place of {old}, which does not go with what is given")
-    return found
+            _log.warning(f"note: {name} is {new} in place of {old}, which does not go with what is given")
+    return with_checked_parts(found)
 
 
 def make_part(parts: Parts, part: Any, *args: Any, options: Any = None) -> Any:
@@ -146,10 +151,10 @@ def make_part(parts: Parts, part: Any, *args: Any, options: Any = None) -> Any:
 def part_options(kind: str, factory: Any, given: Mapping[str, Any]) -> Any:
     """The options of a part with the values that are given, validated by the annotations of its dataclass."""
     cls, where = options_class(factory), f"{kind}_options"
-    names = list(inspect.signature(cls).parameters) if cls is not None else []
+    names = () if cls is None else tuple(inspect.signature(cls).parameters)
     for name in given:
         if name not in names:
-            raise InputError(f"{where}.{name}", "no such option", ", ".join(names) or "none", nearest(name, names))
+            raise InputError(f"{where}.{name}", "no such field", ", ".join(names) or "none", nearest(name, names))
     try:
         return None if cls is None else TypeAdapter(cls).validate_python(given)
     except ValidationError as error:
@@ -163,11 +168,8 @@ def task_of(given: Mapping[str, Any]) -> dict[str, str]:
     Raises InputError for a goal or a tour with another task.
     """
     for task in ("goal", "tour"):
-        if given.get(task) is None:
-            continue
-        named = given.get("task", task)
-        if named != task:
-            found = named if isinstance(named, str) else shown(named)
-            raise InputError(task, f"found with `task` {found}", f"with `task` {task}")
-        return {"task": task}
+        if given.get(task) is not None:
+            if given.get("task", task) != task:
+                raise InputError(task, f"found with `task` {shown_name(given['task'])}", f"with `task` {task}")
+            return {"task": task}
     return {}

@@ -146,7 +146,7 @@ class MeasuredRun:
 
     def to_bag(self, out: str | Path) -> Path:
         """Write the record as a ROS 2 bag with MCAP storage, a new folder; InputError for a run without a folder."""
-        from sixthsense.record.bag import write_bag
+        from sixthsense.record.exports import write_bag
 
         if self.folder is None:
             raise InputError("run", "found a run in memory", "one with a folder, whose record has what it received")

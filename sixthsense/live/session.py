@@ -103,7 +103,7 @@ class Session:
                 raise InputError("interface", leak, "the interface of the robot's network")
             self._say(f"interface: {leak}")
         laser, robot, topics = self.config.laser, self.config.robot, self._topics
-        stated = laser.explicit_fields
+        stated = laser.model_fields_set
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
         self._say(f"waiting for {topics.scan} and {topics.odom}{f', to drive by {topics.cmd_vel}' * drive} ...")

@@ -120,7 +120,7 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
         if len(reading.ranges)
     ]
     counts = {len(reading.ranges) for reading in scans}
-    is_open = kind == FLASER and "fov" not in given.explicit_fields and len(counts) == 1
+    is_open = kind == FLASER and "fov" not in given.model_fields_set and len(counts) == 1
     return Log.of(made, odometry, given, found, beams_by_count(max(counts)) if is_open else ())
 
 
@@ -140,7 +140,7 @@ def _found(content: _Lines, readings: Sequence[_Reading]) -> list[Finding]:
 
 def _mount(scans: Sequence[_Reading], given: LaserConfig, ahead_m: float, found: list[Finding]) -> Pose:
     """As stated, as both poses of the lines have it, or as a parameter has it."""
-    if "mount" in given.explicit_fields:
+    if "mount" in given.model_fields_set:
         return Pose(*given.mount)
     place = mount_from_poses(*np.stack([reading.poses for reading in scans], axis=1))
     if place is not None:
@@ -157,7 +157,7 @@ def _reaches(
     """Maximum ranges by those that lines state, m: as the user or the lines state, as codes, as a parameter says."""
     reaches: dict[float, float] = {}
     for stated in {reading.max_range for reading in scans}:
-        if "max_range" in given.explicit_fields:
+        if "max_range" in given.model_fields_set:
             reaches[stated] = given.max_range
             continue
         ranges = [reading.ranges for reading in scans if reading.max_range == stated]
@@ -174,7 +174,7 @@ def _scan(reading: _Reading, reach: float, given: LaserConfig, mount: Pose) -> S
     """The scan of a line, with its own beams unless the user has stated others."""
     count = len(reading.ranges)
     beams = reading.beams or beams_by_count(count)[0]
-    if "fov" in given.explicit_fields and abs(given.fov - beams.step * (count - 1)) > _SAVED_RAD:
+    if "fov" in given.model_fields_set and abs(given.fov - beams.step * (count - 1)) > _SAVED_RAD:
         beams = beams_over(given.fov, count)  # else it is that of a saved configuration
     is_return = (reading.ranges >= 0.0) & (reading.ranges < np.float32(reach))
     ranges = np.where(is_return, reading.ranges, np.float32(np.inf))

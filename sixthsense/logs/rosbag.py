@@ -227,7 +227,7 @@ def _mount(path: Path, recording: _Recording, laser: LaserConfig, frame: str) ->
         place = tree.mount(robot, frame)
     except ValueError as error:
         raise InputError(f"{path} /tf_static", str(error)) from None
-    if "mount" in laser.explicit_fields or any(laser.mount):
+    if "mount" in laser.model_fields_set or any(laser.mount):
         return Pose(*laser.mount), place is not None and place[1]
     if place is None:
         there = ", ".join(map(shown_name, tree.frames()[:12])) or "none"

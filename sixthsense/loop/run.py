@@ -72,25 +72,26 @@ def drive(
             return outcome
 
 
-def combined_hooks(*hooks: OnTick) -> OnTick:
-    """Several hooks of the loop as one."""
+def combined_hooks(*hooks: OnTick | None) -> OnTick:
+    """Several hooks of the loop as one; None is left out."""
 
     def call(tick: Tick, trace: Trace) -> None:
-        for hook in hooks:
+        for hook in filter(None, hooks):
             hook(tick, trace)
 
     return call
 
 
-def deadline(max_time_s: float, outcome: str) -> Watcher:
-    """A watcher that ends a run with an outcome when `max_time_s` of source time has passed."""
+def _ends(config: Config, timeout_outcome: str, interrupted: Callable[[], bool]) -> Watcher:
+    """A watcher that ends a run when its time by the source's clock is over, and when it is interrupted."""
     end_ns: int | None = None
 
     def watch(tick: Tick, step: Step, command: Command) -> str | None:
         nonlocal end_ns
-        if end_ns is None:
-            end_ns = tick.stamp_ns + round(max_time_s * 1e9)
-        return outcome if tick.stamp_ns >= end_ns else None
+        if end_ns is None and config.max_time is not None:
+            end_ns = tick.stamp_ns + round(config.max_time * 1e9)
+        is_late = end_ns is not None and tick.stamp_ns >= end_ns
+        return timeout_outcome if is_late else "interrupted" if interrupted() else None
 
     return watch
 
@@ -133,10 +134,8 @@ def finish(trace: Trace, slam: Slam, pilot: Pilot, outcome: str) -> None:
     trace.records = dict(result.landmark_records)
     trace.culled, trace.walls_merged = result.culled, result.walls_merged
     trace.loop_closures, trace.links = result.loop_closures, result.links
-    if result.wheels is not None:
-        trace.wheels = result.wheels.with_sigmas()
-    if result.sensor is not None:
-        trace.sensor = result.sensor.with_sigmas()
+    trace.wheels = None if result.wheels is None else result.wheels.with_sigmas()
+    trace.sensor = None if result.sensor is None else result.sensor.with_sigmas()
     if result.since_key is not None:
         trace.since_key = list(result.since_key)
     trace.verdict = judge(trace.witnesses())
@@ -218,18 +217,14 @@ def find_start(
         Slam(config, Pose(), radius_m=radius_m, clock=clock.stage, draws_map=drives) as slam,
         deferred_interrupt() as interrupted,
     ):
-        watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
-        if config.max_time is not None:
-            watchers.append(deadline(config.max_time, "out of time"))
-        outcome = drive(source, slam, pilot, watchers, clock)
+        outcome = drive(source, slam, pilot, [search, _ends(config, "out of time", interrupted)], clock)
     if outcome == "interrupted":
         raise KeyboardInterrupt
     if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen
         start = relocalizer.place
     if start is None:
         found = f"found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
-        ended = "" if outcome == NOWHERE else f" ({outcome})"
-        raise InputError("lost", f"{found}{ended}", "a map of this building, in which places differ")
+        raise InputError("lost", f"{found} ({outcome})", "a map of this building, in which places differ")
     return Playback(driven, source), prior._replace(pose=start, sigma=FOUND_SIGMA), start
 
 
@@ -256,12 +251,8 @@ def recorded_drive(
     with _slam(start, trace, pilot, prior) as slam:
         record, began = recorder(trace, slam, pilot), time.perf_counter()
         with deferred_interrupt() as interrupted:
-            watchers: list[Watcher] = [record]
-            if on_tick is not None:
-                watchers.append(lambda tick, step, command: on_tick(tick, trace))
-            if config.max_time is not None:
-                watchers.append(deadline(config.max_time, pilot.navigator.timeout_outcome))
-            watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
+            shown: list[Watcher] = [] if on_tick is None else [lambda tick, step, command: on_tick(tick, trace)]
+            watchers = [record, *shown, _ends(config, pilot.navigator.timeout_outcome, interrupted)]
             outcome = drive(source, slam, pilot, watchers, clock)
             # A robot that sends nothing brings no tick after which a watcher could end the run.
             with naming_parts(config, "at the end", slam.check_estimate):

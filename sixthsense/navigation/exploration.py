@@ -135,7 +135,7 @@ class Exploration:
         """The explorer's choice. Raises PartError for one that is none."""
         shown = ExplorationView(view, pose, self._home, self._sensor.reach)
         target = self.explorer.next_target(shown) if shown.pieces else None
-        if not self._part.is_shipped and target is not None:
+        if self._part.members and target is not None:
             check_returned(self._part.name, "next_target", target, Target, cells=(None, 2), viewpoint=(2,))
         return target
 

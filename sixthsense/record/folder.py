@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import shutil
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from typing import Any
 
 from sixthsense.config import Config, save_config
 from sixthsense.config.errors import InputError, PartError
-from sixthsense.config.files import read_table
+from sixthsense.config.files import Note, read_table
 from sixthsense.logs.runfolder import FILE
 from sixthsense.record.exports import NAMES, write_files
 from sixthsense.record.stream import RecordWriter
@@ -21,29 +22,24 @@ from sixthsense.record.writing import LOCK, FolderLock, naming, whole
 _OWN = {"config.toml", FILE, LOCK, "figures", *NAMES}
 """what a run, its exports and its report write"""
 
+_log = logging.getLogger(__name__)
+
 
 class RunFolder:
     """Reserves a folder before the run and fills it; an existing run is replaced at the end."""
 
     def __init__(
-        self,
-        out: Path,
-        config: Config,
-        overwrite: bool = False,
-        replayed: Mapping[str, str] | None = None,
-        prior_map: Mapping[str, Any] | None = None,
+        self, out: Path, config: Config, overwrite: bool = False, replayed: Note = None, prior_map: Note = None
     ) -> None:
         """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay, `prior_map` the map.
 
-        An `OUT.partial` of a run that did not finish is renamed, and `notes` say so. Raises InputError if `out` exists
+        An `OUT.partial` of a run that did not finish is renamed, which is logged. Raises InputError if `out` exists
         and `overwrite` is false, if it is not a run's folder or another process writes it, and if it cannot be written.
         """
         if out.name in ("", ".."):
             raise InputError("out", f"found {str(out)!r}", "a path that ends in a name")
         self.out = out
         self.partial = out.with_name(out.name + ".partial")
-        self.notes: list[str] = []
-        """one line for the user about each earlier run that was moved"""
         self._overwrite = overwrite
         try:
             self._check_out()
@@ -87,7 +83,7 @@ class RunFolder:
         kept = lock.folder = self._numbered()
         self.partial.rename(kept)
         lock.release()
-        self.notes.append(f"{self.partial} of a run that did not finish is kept as {kept}")
+        _log.warning(f"note: {self.partial} of a run that did not finish is kept as {kept}")
         return self._reserved()
 
     def _numbered(self) -> Path:
@@ -104,10 +100,10 @@ class RunFolder:
             self.record.end(trace, metrics)  # first: a disk that is full after it costs what can be made again
             write_files(self.partial, trace, metrics)
 
-    def finish(self) -> list[str]:
+    def finish(self) -> None:
         """Rename the folder to `OUT`, replacing an existing run, and release it.
 
-        Files of the old one that no run writes are kept in `OUT`; returns their names. Raises InputError if `OUT` has
+        Files of the old one that no run writes are kept in `OUT`, which is logged. Raises InputError if `OUT` has
         meanwhile become something that may not be replaced; the new run then stays in `OUT.partial`.
         """
         try:
@@ -124,7 +120,8 @@ class RunFolder:
         shutil.rmtree(old, ignore_errors=True)
         self._lock.folder = self.out
         self._lock.release()
-        return kept
+        if kept:
+            _log.warning(f"note: kept in {self.out}, which it replaces: {', '.join(kept)}")
 
 
 def _is_just_made(folder: Path) -> bool:
@@ -138,17 +135,14 @@ def _check_is_run(folder: Path) -> None:
 
 
 def reason_not_a_run(folder: Path) -> str:
-    """Why a path is not the folder of a run: "is a file", "holds no config.toml of a run"; "" if it is.
+    """Why a path is not the folder of a run: "is a file or a link", "holds no config.toml of a run"; "" if it is.
 
     The configuration of a run names the version of this package.
     """
-    if folder.is_symlink():
-        return "is a symbolic link"
-    if not folder.is_dir():
-        return "is a file"
-    file = folder / "config.toml"
+    if folder.is_symlink() or not folder.is_dir():
+        return "is a file or a link"
     try:
-        is_own = not file.is_symlink() and isinstance(read_table(file)["versions"]["sixthsense"], str)
+        is_own = isinstance(read_table(folder / "config.toml")["versions"]["sixthsense"], str)
     except (InputError, LookupError, TypeError):
         is_own = False
     return "" if is_own else "holds no config.toml of a run"

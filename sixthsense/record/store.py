@@ -8,21 +8,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sixthsense.config import load_config, prior_map_of
+from sixthsense.config import load_config, notes_of
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute, instead_of, path_of
 from sixthsense.config.section import checked
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Pose
 from sixthsense.logs.runfolder import FILE, Message, read_messages, readable, ticks_of
-from sixthsense.record.fields import read_end, read_fields, read_keyframes, read_scans
+from sixthsense.record.stream import read_end, read_fields, read_keyframes, read_scans
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.prior_map import KeyScans, PriorMap, PriorStart
-from sixthsense.verdict.verdict import Verdict
 
 END = "the run's end: outcome, counts, clocks, final trajectory and landmarks"
 """missing from a run that was stopped; each keyframe keeps the pose estimated at its time"""
@@ -52,45 +50,20 @@ def load_record(folder: Path | str) -> Loaded:
     messages, _ = read_messages(file)
     with readable(file):
         trace = Trace(config, **read_fields(messages[0].value["fields"]))
-        channels = _by_channel(messages)
+        channels: dict[str, list[Message]] = {}
+        for message in messages:
+            channels.setdefault(message.channel, []).append(message)
         _read_stream(trace, channels)
         scans = {tick.stamp_ns: tick.scan for tick in ticks_of(messages, Pose(*config.laser.mount))}
         trace.key_scans = [scans.get(stamp_ns) for stamp_ns in trace.key_stamps_ns]
-        trace.prior_map = prior_map_of(folder / "config.toml")
+        trace.prior_map = notes_of(folder / "config.toml").get("prior_map")
         trace.name = absolute(folder).name.removesuffix(".partial")
         if "end" not in channels:
             return Loaded(_stopped(trace), (END, GRID), None)
         table = channels["end"][0].value
-        read_end(trace, table, _arrays(channels))
+        arrays = {name: np.concatenate([one.value for one in channels[name]]) for name in channels if "array." in name}
+        read_end(trace, table, arrays)
     return Loaded(trace, () if trace.grid is not None else (GRID,), table["metrics"])
-
-
-def read_verdict(folder: Path) -> Verdict | None:
-    """The verdict on the run in a folder; None where the record has no end. InputError for a damaged record."""
-    messages, _ = read_messages(folder / FILE)
-    with readable(folder / FILE):
-        channels = _by_channel(messages)
-        if "end" not in channels:
-            return None
-        fields = channels["end"][0].value["fields"]
-        verdict: Verdict | None = read_fields({"verdict": fields["verdict"]}, _arrays(channels))["verdict"]
-        return verdict
-
-
-def _by_channel(messages: Sequence[Message]) -> dict[str, list[Message]]:
-    channels: dict[str, list[Message]] = {}
-    for message in messages:
-        channels.setdefault(message.channel, []).append(message)
-    return channels
-
-
-def _arrays(channels: Mapping[str, Sequence[Message]]) -> dict[str, NDArray[Any]]:
-    """The large arrays of a run's end."""
-    return {
-        name: np.concatenate([one.value for one in found])
-        for name, found in channels.items()
-        if name.startswith("array.")
-    }
 
 
 def _read_stream(trace: Trace, channels: Mapping[str, list[Message]]) -> None:
@@ -123,7 +96,6 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     damaged, and for a map without landmarks.
     """
     folder = path_of("prior_map", folder)
-    file = folder / FILE
     if not (folder / "config.toml").is_file():
         raise InputError(folder, f"found {instead_of(folder, 'config.toml')}", "the folder of a run")
     trace, lacks, _ = load_record(folder)
@@ -133,7 +105,7 @@ def read_prior_map(folder: Path | str) -> PriorMap:
     if not len(final.ids):
         raise InputError(folder, "found a map without landmarks", "one by the front end of landmarks")
     if fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK):
-        raise InputError(file, f"found {fault}", "a covariance")
+        raise InputError(folder / FILE, f"found {fault}", "a covariance")
     kept = {i: trace.records[i] for i in final.ids.tolist()}
     extents = np.array([record.extent for record in kept.values()])
     landmarks = LandmarkPrior(final.ids, final.landmarks, final.walls, cov, extents)
@@ -148,20 +120,18 @@ def read_prior_map(folder: Path | str) -> PriorMap:
 
 
 def prior_start(
-    folder: Path | str | None,
-    pose: Sequence[float] | None,
-    sigma: Sequence[float] | None,
-    lost: bool = False,
+    prior_map: Path | str | None,
+    pose: Sequence[float] | None = None,
+    pose_sigma: Sequence[float] | None = None,
+    lost: bool | None = False,
 ) -> PriorStart | None:
-    """The prior map in `folder` and the start in it, None without a folder. A robot that is `lost` has no pose.
+    """The prior map in a folder and the start in it, None without a folder. A robot that is `lost` has no pose.
 
     Raises InputError for a pose or sigmas that are not allowed, and without a folder; InputError as `read_prior_map`.
     """
-    values = {"pose": pose, "pose_sigma": sigma}
-    given = {
-        name: checked(name, tuple[float, float, float], value) for name, value in values.items() if value is not None
-    }
-    if folder is None:
+    values, hint = {"pose": pose, "pose_sigma": pose_sigma}, tuple[float, float, float]
+    given = {name: checked(name, hint, value) for name, value in values.items() if value is not None}
+    if prior_map is None:
         for name in ("lost",) if lost else given:
             raise InputError(name, "found without `prior_map`", "with it")
         return None
@@ -170,4 +140,5 @@ def prior_start(
     place, spread = given.get("pose"), given.get("pose_sigma")
     if spread is not None and min(spread) < 0.0:
         raise InputError("pose_sigma", f"found {' '.join(map(str, spread))}", "at least 0")
-    return PriorStart(read_prior_map(folder), Pose(*place) if place else None, spread or (0.0, 0.0, 0.0), lost)
+    start = Pose(*place) if place else None
+    return PriorStart(read_prior_map(prior_map), start, spread or (0.0, 0.0, 0.0), bool(lost))

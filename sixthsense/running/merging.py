@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from sixthsense.figures.run import Run
 from sixthsense.logs.log import Log
 from sixthsense.logs.replay_input import ReplayInput, open_recorded
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.store import read_verdict
+from sixthsense.record.store import load_record
 from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.prior_map import KeyScans
 from sixthsense.slam.relocalization import Relocalizer
@@ -27,6 +28,8 @@ from sixthsense.slam.slam import Slam
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
 _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
 _PAUSE_NS = 1_000_000_000  # between the runs, where the second was recorded earlier
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +45,14 @@ def open_merged(first: Path, second: Path, config: Config) -> Merged:
 
     Scans are aligned, whatever front end and estimator it names. Raises InputError for a run whose own map is broken.
     """
+    _log.info(f"looking for {second} in the map of {first}")
     for run in (first, second):
-        verdict = read_verdict(run)
+        verdict = load_record(run).trace.verdict
         if verdict is not None and verdict.level == "broken":
             raise InputError(run, f"found a map that is {verdict}", "one that is good")
-    settings = config, load_config(second / "config.toml")
-    return merged_log(*(open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True)))
-
-
-def _aligning(config: Config) -> Config:
     aligning = {"front_end": "scan-matching", "estimator": "isam2", "calibrate_wheels": False, "max_time": None}
-    return merge(config, aligning)
+    settings = ((first, config), (second, load_config(second / "config.toml")))
+    return merged_log(*(open_recorded(run, merge(own, aligning)) for run, own in settings))
 
 
 def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
@@ -77,16 +77,14 @@ def merged_log(first: ReplayInput, second: ReplayInput) -> Merged:
     ticks = (*first.log.ticks, *_going_on(first.log.ticks[-1], second.log.ticks, end.inverse() @ begin, sigmas))
     notes = tuple(f"{run.name}: {note}" for run in (first, second) for note in run.notes)
     files = {"log": first.files["log"], "merged_with": second.files["log"]}
-    log = Log(ticks, first.log.laser)
-    begin_ns = ticks[len(first.log.ticks)].stamp_ns
-    return Merged(f"{first.name}-{second.name}", log, first.config, None, files, notes, begin_ns)
+    name, log = f"{first.name}-{second.name}", Log(ticks, first.log.laser)
+    return Merged(name, log, first.config, None, files, notes, ticks[len(first.log.ticks)].stamp_ns)
 
 
 def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> Run:
     """Replay a merged log, as `replay_log`; raises InputError if the second run could not be linked to the first.
 
-    That is also raised if the runs contradict each other. Nothing is left of the folder then. `watch.say` gets the
-    number of links that join the runs.
+    That is also raised if the runs contradict each other. Nothing is left of the folder then.
     """
 
     def check(run: Run) -> None:
@@ -100,8 +98,7 @@ def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> 
             raise InputError("merge", found, "two runs that share a part of one building")
         if trace.verdict is not None and trace.verdict.level == "broken":
             raise InputError("merge", f"found a map that is {trace.verdict} ({links:,} links)", "runs that agree")
-        if watch.say is not None:
-            watch.say(f"note: {links:,} links join both runs")
+        _log.info(f"note: {links:,} links join both runs")
 
     try:
         return replay_log(merged, folder, dataclasses.replace(watch, at_end=check))
@@ -118,8 +115,8 @@ def _check_lasers(first: ReplayInput, second: ReplayInput) -> None:
     one, other = first.config.laser, second.config.laser
     for name in ("beams", "fov"):
         if not np.isclose(getattr(one, name), getattr(other, name)):
-            found = f"found laser.{name} {getattr(other, name):g}"
-            raise InputError(second.name, found, f"{getattr(one, name):g}, as in {first.name}")
+            allowed = f"{getattr(one, name):g}, as in {first.name}"
+            raise InputError(second.name, f"found laser.{name} {getattr(other, name):g}", allowed)
 
 
 def _begin(slam: Slam, ticks: Sequence[Tick], relocalizer: Relocalizer) -> Pose | None:

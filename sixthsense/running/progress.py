@@ -7,7 +7,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sixthsense.core.source import Tick
@@ -18,35 +18,23 @@ _BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postf
 _ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
 
 
-class Bar(NamedTuple):
-    """What moves a bar, and what writes beside it."""
-
-    advance: OnTick
-    """a hook of the loop that shows the elapsed part of a run's time"""
-    say: Callable[[str], object]
-    """shows a text beside the bar"""
-
-
 @contextlib.contextmanager
 def progress(
     label: str,
     total_s: float | None,
-    realtime: bool = False,
     shown: bool | None = None,
     status: Callable[[Trace], str] | None = None,
-) -> Iterator[Bar]:
-    """A bar for `total_s` seconds of the source, or without an end for None.
+) -> Iterator[tuple[OnTick, Callable[[str], object]]]:
+    """A bar for `total_s` seconds of the source, or without an end for None: a hook that moves it, and one for texts.
 
-    `shown` is by default whether the output is interactive. With `realtime` it also slows the source down to real time.
-    `status` is shown beside the bar, anew every second. One that reads the map is for runs that read it at every
-    keyframe anyway: in a replay it would be drawn for the bar alone.
+    `shown` is by default whether the output is interactive. `status` is shown beside the bar, anew every second. One
+    that reads the map is for runs that read it at every keyframe anyway: a replay would draw it for the bar alone.
     """
     bar_format, period_s = _ENDLESS_FORMAT if total_s is None else _BAR_FORMAT, 0.1 if status is None else 1.0
     bar = progress_bar(
         shown, total=total_s, desc=label, leave=False, bar_format=bar_format, mininterval=period_s, miniters=0
     )
     first_ns: int | None = None
-    start_s = 0.0
 
     def draw(change: Callable[[], object]) -> None:
         """Draw on the terminal; one that has been closed ends the bar and not the run."""
@@ -60,21 +48,30 @@ def progress(
             bar.set_postfix_str(status(trace))
 
     def advance(tick: Tick, trace: Trace) -> None:
-        nonlocal first_ns, start_s
-        if first_ns is None:
-            first_ns, start_s = tick.stamp_ns, time.monotonic()
+        nonlocal first_ns
+        first_ns = tick.stamp_ns if first_ns is None else first_ns
         now_s = 1e-9 * (tick.stamp_ns - first_ns)
         draw(lambda: move(now_s, trace))
-        if realtime:
-            time.sleep(max(0.0, start_s + now_s - time.monotonic()))
 
     def say(text: str) -> None:
         draw(lambda: bar.set_description_str(f"{label}: {text}" if text else label))
 
     try:
-        yield Bar(advance, say)
+        yield advance, say
     finally:
         draw(bar.close)
+
+
+def paced() -> OnTick:
+    """A hook of the loop that slows the source down to real time."""
+    first: tuple[int, float] | None = None
+
+    def wait(tick: Tick, trace: Trace) -> None:
+        nonlocal first
+        first = first or (tick.stamp_ns, time.monotonic())
+        time.sleep(max(0.0, first[1] + 1e-9 * (tick.stamp_ns - first[0]) - time.monotonic()))
+
+    return wait
 
 
 def seen_area(trace: Trace) -> str:

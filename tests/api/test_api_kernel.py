@@ -30,8 +30,6 @@ def press(tick, trace):
     if tick.stamp_ns == 1_000_000_000:
         os.kill(os.getpid(), signal.SIGINT)
 [ss.run("rectangle", press, task="tour", max_time=60.0, progress=False).outcome]
----
-run = ss.run("rectangle", task="tour", max_time=5.0)
 """
 
 
@@ -55,7 +53,3 @@ def test_a_figure_at_a_cells_end_is_shown_once_and_one_in_a_variable_not_at_all(
     assert kinds(outputs[1]) == [{"image/png", "text/plain"}]
     assert outputs[3] == []
     assert outputs[5][0].data["text/plain"] == "False"
-
-
-def test_a_notebook_has_a_bar(outputs):
-    assert any("rectangle, tour" in str(output) for output in outputs[8])

@@ -59,36 +59,6 @@ def test_an_estimator_of_one_file_is_checked_run_replayed_compared_and_sent_to_t
     assert set(frame["estimator"]) == {"fading:Fading", "ekf"} and "fading:Fading" in str(done)
 
 
-SEAMS = {
-    "planner": ("straight:StraightLine", testing.check_planner, {"task": "goal", "goal": (1.4, 0.5)}),
-    "explorer": ("nearest:Nearest", testing.check_explorer, {"laser": {"max_range": 2.0}}),
-    "extractor": ("long_walls:LongWalls", testing.check_extractor, {"task": "tour"}),
-    "front_end": ("wheels:Wheels", testing.check_front_end, {"task": "tour"}),
-    "place_search": ("alike:Alike", testing.check_place_search, {"task": "tour", "front_end": "scan-matching"}),
-}
-"""of each kind an example, the check of its contract, and a run in which it is used"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", SEAMS)
-def test_the_example_of_each_seam_is_checked_run_replayed_compared_and_sent_to_the_workers_of_a_campaign(kind, lab):
-    path, check, task = SEAMS[kind]
-    verdicts = check(path)
-    assert verdicts.kept, verdicts
-    run = ss.run("rectangle", max_time=5.0, progress=False, out="run", **{kind: path}, **task)
-    assert getattr(run.trace.config, kind) == path
-    assert getattr(ss.load("run").trace.config, kind) == path
-    assert cli.main(["replay", "run", "--out", "again"]) == cli.DONE
-    assert (lab / "again" / "estimate.tum").read_bytes() == (lab / "run" / "estimate.tum").read_bytes()
-    assert getattr(ss.load("again").trace.config, kind) == path
-    task["max_time"] = 1.0
-    done = ss.campaign("rectangle", seeds=range(4), workers=2, out="many", progress=False, **{kind: path}, **task)
-    frame = done.frame()
-    assert len(frame) == 4 and not (frame["outcome"] == "error").any(), frame["error"].dropna().unique()
-    both = ss.compare([done, run])
-    assert {getattr(sample.config, kind) for sample in both.samples} == {path} and len(both.samples) == 5
-
-
 BREACHES = {
     "estimator": ("from sixthsense.slam.estimators.ekf import EKF\n\n\nclass Bad(EKF):\n"
                   "    def trajectory(self): t = super().trajectory(); return t if len(t) < 4 else t[:, :2]\n",
@@ -125,8 +95,8 @@ OWN = ("--estimator", "fading:Fading")
 @pytest.mark.parametrize(("words", "said"), [
     (("--estimator", "fadin:Fading"), "--estimator: found fadin:Fading, which cannot be imported .*'fadin'"),
     (("--estimator", "fading:Fadin"), "--estimator: found fading:Fadin, which cannot be imported .*'Fadin'"),
-    (("--estimator-options.gain", "2"), "--estimator-options.gain: no such option"),
-    ((*OWN, "--estimator-options.gian", "2"), "--estimator-options.gian: no such option, did you mean gain"),
+    (("--estimator-options.gain", "2"), "--estimator-options.gain: no such field"),
+    ((*OWN, "--estimator-options.gian", "2"), "--estimator-options.gian: no such field, did you mean gain"),
     ((*OWN, "--estimator-options.gain", "x"), "--estimator-options.gain: found 'x', allowed: a finite number"),
 ])  # fmt: skip
 def test_a_wrong_part_or_option_is_one_line(words, said, lab, capsys):
@@ -165,18 +135,3 @@ def test_the_parts_that_can_be_replaced_are_listed(capsys):
     said = capsys.readouterr().out
     assert "--estimator (contract: sixthsense.slam.estimators.base:Estimator" in said and "isam2" in said
     assert "  branch-and-bound  sixthsense.slam.scans.place_search:BranchAndBound\n" in said
-
-
-def test_a_package_that_is_installed_gives_its_parts_short_names(lab, capsys):
-    info = lab / "lab_parts-0.1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-parts\nVersion: 0.1\n")
-    points = "[sixthsense.estimators]\nforgets = fading:Fading\n[sixthsense.explorers]\nnear = nearest:Nearest\n"
-    (info / "entry_points.txt").write_text(points)
-    assert cli.main(["parts"]) == cli.DONE
-    said = capsys.readouterr().out
-    assert re.search(r"forgets +fading:Fading, installed", said) and re.search(r"near +nearest:Nearest, ins", said)
-    run = ss.run("rectangle", estimator="forgets", task="tour", max_time=1.0, progress=False)
-    assert type(run.trace.config.estimator) is str and run.trace.config.estimator == "forgets"
-    with pytest.raises(ss.InputError, match=r"^explorer: found 'forgets', allowed: frontier, random, MODULE:NAME"):
-        ss.preset(explorer="forgets")

@@ -1,18 +1,14 @@
-import contextlib
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.campaigns import CampaignRows, worker
-from sixthsense.campaigns.plan import config_hash
+from sixthsense.campaigns import plan as worker
+from sixthsense.campaigns.folder import CampaignRows
 from sixthsense.evaluation.curves import curves
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -24,22 +20,6 @@ IDENTITY = ["scene", "preset", "estimator", "front_end", "extractor", "place_sea
 
 def run_command(*args: str) -> int:
     return cli.main(["campaign", *args])
-
-
-# What workers do
-
-
-def test_a_run_that_raises_is_a_row_that_says_so_in_one_line(monkeypatch):
-    def broken(config):
-        raise RuntimeError("first line\nsecond line")
-
-    monkeypatch.setattr(worker, "_metrics", broken)
-    found = worker.run_row(ss.preset(scene="rectangle", seed=5))
-    assert (found["outcome"], found["error"]) == ("error", "RuntimeError: first line second line")
-    assert found["seed"] == 5 and found["config_hash"] == config_hash(ss.preset(scene="rectangle", seed=5))
-
-
-# The command
 
 
 def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_is_missing(nearby, capsys):
@@ -56,8 +36,6 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     assert "6 runs, 1 already in c/; 2 workers\n" in capsys.readouterr().err
     frame = ss.load_campaign("c").frame()
     assert len(frame) == 8 and not frame.duplicated(IDENTITY).any() and not frame["config_hash"].duplicated().any()
-    kept = [file for file in stamps if file.name.startswith("run-")]
-    assert all(file.stat().st_mtime_ns == stamps[file] for file in kept) and len(kept) == 3
     assert Path("c/rows.jsonl").read_text().startswith(rows)
     assert frame.columns[: len(IDENTITY)].tolist() == IDENTITY and set(frame["front_end"]) == {"landmarks"}
     made = ss.campaign("rectangle", seeds=range(2), out="c", estimator="ekf-invariant", **FIELDS)
@@ -68,17 +46,6 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     (sample,) = (one for one in made.samples("c") if (one.config.estimator, one.config.seed) == ("ekf-invariant", 1))
     assert sample.config == alone.trace.config
     np.testing.assert_allclose(sample.curves().position_m, curves(alone.trace).position_m, atol=1e-5)
-
-
-def test_a_campaigns_folder_takes_no_other_configuration(nearby, complaint):
-    words = ("rectangle", "--task", "tour", "--seeds", "0:1", "--out", "c", "--config", "some.toml")
-    Path("some.toml").write_text("max-time = 4\nlaser.beams = 180\n")
-    assert run_command(*words) == cli.DONE
-    assert "c is a campaign with laser.beams = 180, found 90" in complaint("campaign", *words, "--laser.beams", "90")
-    # As a file or as flags, as a whole number or a real one: it is the same campaign.
-    same = ("rectangle", *SHORT, "--laser.beams", "180", "--out", "c")
-    assert run_command(*same, "--seeds", "0:1") == cli.DONE
-    assert run_command(*same, "--seeds", "0:2") == cli.DONE
 
 
 def test_runs_that_fail_are_rows_and_are_made_again_only_when_asked(nearby, capsys, monkeypatch):
@@ -122,34 +89,3 @@ def test_ctrl_c_keeps_the_rows_and_exits_with_130(nearby, capsys, monkeypatch):
     assert "interrupted, 1 of 4 runs are in c/, the same command makes the missing ones" in capsys.readouterr().err
     assert len(ss.load_campaign("c")) == 1
     assert run_command(*words) == cli.DONE
-
-
-# Real processes
-
-
-def program(*words: str, **environment: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "sixthsense.cli", "campaign", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, **environment},
-    )
-
-
-def makers(of: psutil.Process) -> list[psutil.Process]:
-    return [child for child in of.children(recursive=True) if "popen_loky" in " ".join(child.cmdline())]
-
-
-def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
-    campaign = program("rectangle", "--task", "tour", "--max-time", "6", "--seeds", "0:5", "--out", "c")
-    while campaign.poll() is None and len(list(Path().glob("c/curves/run-*"))) < 2:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            campaign.wait(0.05)
-    makers(psutil.Process(campaign.pid))[0].kill()
-    out, err = campaign.communicate()
-    assert campaign.returncode == 0, err
-    frame = ss.load_campaign("c").frame()
-    assert len(frame) == 5 and not frame.duplicated(IDENTITY).any()
-    assert set(frame["outcome"]) == {"tour ended"} and "5 tour ended" in out
-    assert "Traceback" not in err

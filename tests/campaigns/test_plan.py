@@ -2,7 +2,8 @@
 
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ import tomli_w
 from settings import changed, flat, nested
 
 import sixthsense as ss
-from sixthsense import campaigns, cli
-from sixthsense.campaigns import CampaignPlan, CampaignRows, worker
-from sixthsense.campaigns.folder import check_folder, read_folder, save_folder
-from sixthsense.campaigns.plan import campaign_of, config_hash, plan, scene_digest, seed_range
+from sixthsense import cli
+from sixthsense.campaigns import plan as worker
+from sixthsense.campaigns.folder import CampaignRows, check_folder, save_folder
+from sixthsense.campaigns.plan import CampaignPlan, campaign_of, config_hash, plan, scene_digest, seed_range
 from sixthsense.config import Config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.curves import CURVES
@@ -115,18 +116,12 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "one more field": (lambda: call(keyframes={"turn_rad": 0.2}), "keyframes.turn_rad = the preset's, found 0.2"),
     "another scene of that name": (lambda: (scene_file(glass=[]), call()), "a campaign with .*hall.toml = .*, found "),
     "a file": (lambda: call(out="hall.toml"), "is a file"),
-    "another folder": (lambda: (Path("a").mkdir(), Path("a/b").touch(), call(out="a")), "not a campaign folder"),
-    "no seed": (lambda: call(seeds=[]), r"^seeds: found \(\)"),
     "a seed below 0": (lambda: call(seeds=[-1]), "^seeds: found -1"),
-    "one number": (lambda: call(seeds=3), "^seeds: found 3"),
-    "a seed as a field": (lambda: call(seed=1), "^seed: found for a campaign, allowed: seeds"),
-    "an own estimator": (lambda: call(estimator=[lambda start, cov: None]), "^estimator: found .*<lambda>, allowed"),
     "a programs own": (lambda: call(planner="__main__:Own"), "^planner: found __main__:Own, which is of the program"),
     "unknown options": (
         lambda: call(estimator=f"{__name__}:Own", estimator_options={"x": 1}),
-        "^estimator_options.x: no such option, allowed: gain",
+        "^estimator_options.x: no such field, allowed: gain",
     ),
-    "no worker": (lambda: call(workers=0), "^workers: found 0, allowed: 1 to 1024"),
     "a goal in a wall": (lambda: call(task="goal", goal=(1.0, 3.1)), r"^goal: found \(1, 3\.1\), .* from a wall"),
 }
 
@@ -141,49 +136,19 @@ def test_a_campaign_that_contradicts_itself_or_its_folder_is_refused(name: str, 
     assert {file: file.read_bytes() for file in Path("mc").rglob("*") if file.is_file()} == before
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [
-    ("[scenes]", "[scenes", "is not TOML"), ("[fields", "[other", "campaign.toml: fields"),
-    ('loop = "', 'loop = 3 # "', "scenes.loop: found 3, allowed: a text"),
-])  # fmt: skip
-def test_a_damaged_table_of_a_campaign_is_named(done: CampaignPlan, old: str, new: str, said: str) -> None:
-    text = Path("mc/campaign.toml").read_text()
-    assert old in text
-    Path("mc/campaign.toml").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=said):
-        ss.load_campaign("mc")
-
-
-def test_the_folder_keeps_the_scenes_of_earlier_commands(done: CampaignPlan) -> None:
-    more = campaign_of({**AXES, "scene": ["block"], "estimator": ["ekf-invariant"]}, [7], FIELDS)
-    save_folder(Path("mc"), check_folder(Path("mc"), more))
-    assert read_folder(Path("mc")).scenes == done.digests() | more.digests()
-
-
-def test_a_campaign_is_compared_in_groups_over_its_seeds(done: CampaignPlan, explored: ss.Run) -> None:
-    made = ss.load_campaign("mc")
-    lines = ss.compare(made).plot("error", by=["scene", "estimator"]).axes[0].get_lines()
-    assert [line.get_label() for line in lines] == [
-        "hall · ekf, 3 runs", "hall · isam2, 3 runs", "loop · ekf, 3 runs", "loop · isam2, 3 runs"
-    ]  # fmt: skip
-    assert [line.get_ydata()[0] for line in lines] == [2.0, 12.0, 2.0, 12.0]
-    together = ss.compare({"study": made, "alone": explored})
-    assert len(together) == 13 and len(together.runs) == 1
-    assert together.frame().loc["study"].groupby("estimator")["ate_rmse_m"].median().tolist() == [2.0, 12.0]
-    sample = next(one for one in made.samples("mc") if one.config.seed == 2 and one.config.estimator == "isam2")
-    assert sample.config == merge(
-        ss.preset("worn"), {**FIELDS, "estimator": "isam2", "seed": 2, "scene": sample.config.scene}
-    )
-    assert sample.curves().time_s.tolist() == [0.0, 1.0, 2.0, 3.0]
-
-
 # The command
 
 
 def planned(monkeypatch: pytest.MonkeyPatch, line: str) -> CampaignPlan:
     """The plan that a command line makes."""
     plans: list[CampaignPlan] = []
-    monkeypatch.setattr(campaigns, "complete", lambda one, *_, **__: plans.append(one))
-    assert cli.main(["campaign", *line.split()]) == cli.DONE
+
+    def stop(one: CampaignPlan, *_: Any, **__: Any) -> None:
+        plans.append(one)
+        raise InputError("campaign", "is planned")
+
+    monkeypatch.setattr("sixthsense.campaigns.call.complete", stop)
+    assert cli.main(["campaign", *line.split()]) == cli.BAD_INPUT
     return plans[0]
 
 
@@ -203,3 +168,47 @@ def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeyp
     assert both.values["estimator"] == ("isam2",) and len(plan(both)) == 2
     with pytest.raises(InputError, match="front_end: found scan-matching with estimator ekf"):
         plan(CampaignPlan({**one.values, "estimator": ("ekf",)}, one.seeds, one.fields))
+
+
+# An executor of the caller's
+
+
+class Elsewhere(ThreadPoolExecutor):
+    """Workers that make the runs as this process does, but for what they say of themselves."""
+
+    said: Mapping[str, str] = {}
+
+    def submit(self, function: Any, /, *args: Any, **kwargs: Any) -> Any:
+        said = self.said if function is worker.described else {}
+        return super().submit(lambda: function(*args, **kwargs) | said)
+
+
+@pytest.mark.parametrize(("said", "refused"), [
+    ({"python": "2.7"}, r"^executor: found {'python': '2.7'}, allowed: {'python': '3"),
+    ({"rectangle": "another"}, "^executor: found {'rectangle': 'another'}, allowed"),
+    (None, "^executor: found no usable sixthsense"),
+])  # fmt: skip
+def test_workers_of_an_executor_that_would_make_other_runs_are_refused(said: Any, refused: str) -> None:
+    with Elsewhere(1) as pool, pytest.raises(InputError, match=refused):
+        pool.said = said
+        ss.campaign("rectangle", seeds=[3], out="mc", executor=pool, workers=1, progress=False)
+    assert not Path("mc").exists()
+
+
+SHORT: dict[str, Any] = {"task": "tour", "max_time": 2.0, "progress": False, "out": "mc"}
+
+
+@pytest.mark.usefixtures("compiled")
+def test_an_executor_of_the_callers_makes_the_runs_and_is_left_open() -> None:
+    with Elsewhere(2) as pool:
+        frame = ss.campaign("rectangle", seeds=range(3), executor=pool, workers=2, **SHORT).frame()
+        assert pool.submit(dict, a=1).result() == {"a": 1}
+    assert frame["seed"].tolist() == [0, 1, 2] and set(frame["outcome"]) == {"tour ended"}
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_dask_client_makes_the_runs() -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.Client(n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+        done = ss.campaign("rectangle", seeds=range(2), executor=client.get_executor(pure=False), workers=1, **SHORT)
+    assert set(done.frame()["outcome"]) == {"tour ended"}

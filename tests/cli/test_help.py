@@ -31,20 +31,6 @@ def test_the_whole_help_has_every_option_once_within_80_columns(command: str) ->
     assert len(flags) > 70 and len(flags) == len(set(flags))
 
 
-@pytest.mark.parametrize(
-    ("line", "suggested"),
-    [
-        ("rnu apartment", "run"),
-        ("run --laser.beems 3", "--laser.beams"),
-        ("run --estimator ISAM2", "isam2"),
-    ],
-)
-def test_a_misspelt_name_is_answered_with_the_nearest_known_one_before_the_list(line: str, suggested: str) -> None:
-    code, out, err = said(*line.split())
-    assert (code, out) == (cli.BAD_INPUT, "")
-    assert err.count("\n") == 1 and f", did you mean {suggested}? allowed: " in err
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_completion_prints_a_script_with_commands_options_and_names(shell: str) -> None:
     script = shtab.complete(whole_parser(), shell)

@@ -39,13 +39,6 @@ def test_a_part_that_the_command_line_allows_is_run(words, evil):
     assert (evil / "ran").exists()
 
 
-def test_no_other_import_searches_the_working_folder(here, monkeypatch):
-    paths, before = [], [*sys.path]
-    monkeypatch.setattr("sixthsense.cli.listing.Parts.run", lambda *_: paths.extend(sys.path) or cli.DONE)
-    assert cli.main(["parts"]) == cli.DONE
-    assert paths == before == sys.path
-
-
 @pytest.mark.parametrize(("error", "code"), [(MemoryError(), 71), (OSError(errno.ENOSPC, "no space"), 74),
                                              (OSError(errno.EACCES, "denied"), 2)])  # fmt: skip
 def test_memory_and_disk_have_exit_codes_of_their_own_and_the_collector_is_left_as_it_was(error, code, monkeypatch):

@@ -65,7 +65,7 @@ def settings(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Config]:
         raise CaughtError("settings", "caught")
 
     for name in (
-        "running.runs.simulate", "logs.replay_input.open_recorded", "live.session.Session",
+        "api.simulate", "logs.replay_input.open_recorded", "live.session.Session",
         "live.simulated.SimulatedRobot", "evaluation.calibrate.calibrate", "running.merging.open_merged",
     ):  # fmt: skip
         monkeypatch.setattr(f"sixthsense.{name}", catch)
@@ -92,12 +92,9 @@ DRIVE, REGION = "live --drive --region -1 -2 3 4", {"region": (-1.0, -2.0, 3.0, 
 BASES: dict[str, Config] = {
     "run": preset(),
     "simulate": preset(),
-    "calibrate --out noise.toml": preset(),
     "replay a.clf": preset("log"),
-    "replay a.log.gz": preset("log"),
     "replay a.bag": preset("log"),
     "replay a.graph": preset("victoria"),
-    "replay a.g2o.bz2": preset("victoria"),
     "replay robots": preset("mrclam"),
     "replay first": preset("report", seed=3),
     "merge first second": preset("report", seed=3),
@@ -153,27 +150,6 @@ def test_every_field_is_an_option_a_field_of_the_call_and_one_of_the_file() -> N
     assert cli.main([*line.split(), "--max-time", "0.1", "--out", "goal"]) == cli.DONE
     expected = merge(preset(), nested({**one, "scene": "rectangle", "task": "goal", "max_time": 0.1}))
     assert load_config("goal/config.toml") == expected
-
-
-FLASER = "FLASER 4 1.0 2.0 3.0 {far} {x} 0.0 0.0 {x} 0.0 0.0 {stamp} nohost {stamp}\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "reach_m"),
-    [
-        ("laser.max_range = 10.0\n", 10.0),  # the default, and stated
-        ("seed = 3\n", 34.0),  # what the log says
-        ("laser.max_range = 10.0\nversions.sixthsense = '0'\n", 34.0),  # all fields of a simulated run
-        ("laser.max_range = 10.0\nversions.sixthsense = '0'\nreplayed.log = 'a'\n", 10.0),
-    ],
-)
-def test_the_laser_that_a_file_states_beats_that_of_the_log(text: str, reach_m: float) -> None:
-    lines = (FLASER.format(x=0.1 * k, stamp=float(k), far=34.0 if k != 2 else 4.0) for k in range(5))
-    Path("a.log").write_text("PARAM laser_max_range 34.0 nohost 0\n" + "".join(lines))
-    Path("a.toml").write_text(text)
-    words = "replay a.log --laser.beams 4 --laser.fov 1.5 --config a.toml --out x"
-    assert cli.main(words.split()) == cli.DONE
-    assert load_config("x/config.toml").laser.max_range == pytest.approx(reach_m)
 
 
 @pytest.mark.parametrize("switch", ["--features.no-deskew", "--features.deskew=false", "--features.deskew false"])

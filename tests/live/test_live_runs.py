@@ -19,7 +19,7 @@ import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.record.folder import has_record, reason_not_a_run
-from sixthsense.running.warmup import warm_up, warm_up_scans
+from sixthsense.running.warmup import warm_up
 
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 
@@ -62,7 +62,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(scope="module")
 def _compiled() -> None:
     warm_up()
-    warm_up_scans()
+    warm_up("scan-matching")
 
 
 @contextmanager

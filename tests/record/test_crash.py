@@ -6,8 +6,8 @@ import struct
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -44,18 +44,12 @@ sys.exit(cli.main(sys.argv[2:]))
 """
 
 
-@dataclass(frozen=True)
-class Kill:
-    """The folder of a killed run and its progress at that time."""
+class Kill(NamedTuple):
+    """The folder of a killed run, the stamp of the last flushed tick, and the time since the last writing."""
 
     partial: Path
-    """the folder"""
-    recorded_ns: int
-    """stamp of the last tick that was recorded"""
     flushed_ns: int
-    """stamp of the last flushed tick"""
     lost_wall_s: float
-    """time since the record was last written"""
 
 
 def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
@@ -74,9 +68,9 @@ def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
         child.send_signal(signal.SIGKILL)
         killed = time.time()
         child.wait()
-    recorded_ns, flushed_ns = struct.unpack("<qq", notes.read_bytes())
+    _, flushed_ns = struct.unpack("<qq", notes.read_bytes())
     partial = folder / "run.partial"
-    return Kill(partial, recorded_ns, flushed_ns, killed - (partial / FILE).stat().st_mtime)
+    return Kill(partial, flushed_ns, killed - (partial / FILE).stat().st_mtime)
 
 
 @pytest.fixture(scope="module")

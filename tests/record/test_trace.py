@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from traces import CONFIG, cov_of, observation_of, pose_of
 
-from sixthsense.config import merge
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
-from sixthsense.record.trace import Live, Trace
+from sixthsense.record.trace import Trace
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.features import NO_FEATURES
@@ -68,37 +67,3 @@ def test_a_scan_and_its_keyframe_are_added_with_what_was_believed_before_and_aft
     assert trace.key_odometry == [motion] and trace.associations == [found]
     assert np.array_equal(trace.walls_found[0], features.walls)
     assert trace.key_scans == [scan] and trace.key_measured == [False]
-
-
-def test_no_path_leads_to_a_scan_before_which_the_robot_was_carried(trace: Trace) -> None:
-    rolled = Odometry(Pose(0.2, 0.1, 0.3), 1e-6 * np.eye(3))
-    trace.key_odometry = [Odometry(Pose(), CARRIED), rolled, Odometry(Pose(3.0, 1.0, 0.4), CARRIED), rolled]
-    trace.last_key = [0, 0, 1, 2, 2, 3]
-    assert trace.carried_scans() == [3]  # the first keyframe is where the run begins
-    trace.config = merge(CONFIG, {"no_odometry": True})
-    assert trace.carried_scans() == []
-
-
-def test_a_scan_is_at_the_final_pose_of_its_keyframe_and_the_motion_since(trace: Trace) -> None:
-    rng = np.random.default_rng(7)
-    trace.trajectory = np.array([pose_of(rng).array() for _ in range(3)])
-    trace.last_key, trace.since_key = [0, 2, 1], [pose_of(rng).array() for _ in range(3)]
-    for found, k, (x, y, turn) in zip(trace.scan_poses(), trace.last_key, trace.since_key, strict=True):
-        x0, y0, theta = trace.trajectory[k]
-        place = complex(x0, y0) + np.exp(1j * theta) * complex(x, y)
-        assert [found[0], found[1]] == pytest.approx([place.real, place.imag])
-        assert np.exp(1j * found[2]) == pytest.approx(np.exp(1j * (theta + turn)))
-
-
-def test_covariances_of_points_are_their_blocks_of_the_joint_covariance() -> None:
-    rng = np.random.default_rng(11)
-    joint, ids = cov_of(rng, 9), np.array([7, 4, 9])
-
-    class Known:
-        def joint_covariance(self, wanted: list[int]) -> np.ndarray:
-            rows = [0, 1, 2, *(3 + 2 * ids.tolist().index(i) + part for i in wanted for part in (0, 1))]
-            return joint[np.ix_(rows, rows)]
-
-    estimate = Estimate(pose_of(rng), joint[:3, :3], ids, rng.normal(size=(3, 2)), np.array([False, True, False]))
-    found = Live(Known(), {}, None, None).point_covariances(estimate)  # type: ignore[arg-type]
-    assert np.array_equal(found, [joint[3:5, 3:5], joint[7:9, 7:9]])

@@ -3,30 +3,16 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 
 import pytest
 
-from sixthsense.config import preset
-from sixthsense.evaluation.measure import measure
 from sixthsense.loop import interrupt
 from sixthsense.loop.interrupt import deferred_interrupt
-from sixthsense.loop.run import run
 
 
 @pytest.fixture(autouse=True)
 def _nothing_pressed_before(monkeypatch):
     monkeypatch.setattr(interrupt._signals, "ctrl_c_s", -math.inf)
-
-
-def test_an_interrupted_run_ends_in_order_with_its_results():
-    def press(tick, trace):
-        if len(trace.stamps_ns) == 20:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    trace = run(preset(task="tour", max_time=100.0), press)
-    assert trace.outcome == "interrupted" and len(trace.stamps_ns) == 20
-    assert measure(trace)["ate_rmse_m"] < 0.05 and len(trace.trajectory) == len(trace.key_stamps_ns)
 
 
 def test_the_previous_handler_is_restored_and_a_second_press_is_not_deferred():
@@ -52,19 +38,6 @@ def test_pressing_twice_ends_a_loop_over_runs_though_the_first_press_ended_a_run
         assert interrupted()
     with deferred_interrupt(), pytest.raises(KeyboardInterrupt):
         press()
-
-
-def test_another_thread_runs_without_a_handler():
-    said = []
-
-    def inside():
-        with deferred_interrupt() as interrupted:
-            said.append(interrupted())
-
-    thread = threading.Thread(target=inside)
-    thread.start()
-    thread.join()
-    assert said == [False]
 
 
 SWALLOWING = """
@@ -95,7 +68,7 @@ def test_an_interrupt_that_python_drops_in_a_finalizer_comes_again():
 
 
 COMPILING = """
-import os, random, signal, threading, time
+import os, signal, threading, time
 import numba
 from numba.core.compiler_lock import global_compiler_lock
 from sixthsense.loop import interrupt
@@ -112,11 +85,9 @@ def watched(self, number, frame):
         raise
 
 interrupt.Signals.handle = watched
-draw = random.Random(4)
 for turn in range(15):
     kernel = numba.njit(lambda x, turn=turn: x * turn + sum([x, x]))
-    delay_s = draw.uniform(0.0, 0.15)
-    pressing = threading.Timer(delay_s, lambda: [os.kill(os.getpid(), signal.SIGINT) for _ in range(2)])
+    pressing = threading.Timer(0.01 * turn, lambda: [os.kill(os.getpid(), signal.SIGINT) for _ in range(2)])
     try:
         with interrupt.command_signals():
             pressing.start()

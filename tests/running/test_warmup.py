@@ -15,27 +15,18 @@ from sixthsense.running import warmup
 @pytest.fixture
 def settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A home and a temporary folder of this test's own; the package's folder cannot be written."""
-    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
-        monkeypatch.setenv(name, "")  # so that what a test sets is taken back
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that what a test sets is taken back
     monkeypatch.delitem(sys.modules, "numba")
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path / "package")
     return tmp_path
 
 
-def test_numba_chooses_where_the_package_can_be_written(settings: Path) -> None:
-    sixthsense._keep_kernels(settings)
+def test_kernels_are_kept_in_a_new_folder_of_the_user_alone_where_neither_package_nor_home_can_be_written(
+    settings: Path,
+) -> None:
+    sixthsense._keep_kernels(settings / "package", settings)
     assert os.environ["NUMBA_CACHE_DIR"] == ""
-
-
-def test_kernels_of_a_package_that_cannot_be_written_are_kept_in_the_home(settings: Path) -> None:
-    sixthsense._keep_kernels(settings / "package")
-    assert os.environ["NUMBA_CACHE_DIR"] == str(settings / "home" / ".cache" / "sixthsense")
-
-
-def test_without_a_home_they_are_kept_in_a_new_folder_of_the_user_alone(settings: Path) -> None:
-    (settings / "home").touch()
     sixthsense._keep_kernels(settings / "package")
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
     assert folder.parent == settings and stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -46,8 +37,8 @@ def test_only_a_compilation_is_told_and_only_once(monkeypatch: pytest.MonkeyPatc
     known, *new = (numba.njit(lambda x, k=k: x + k) for k in range(3))
     known(1.0)
     monkeypatch.setattr(warmup, "warm_up", lambda: known(2.0))
-    warmup.prepare(said.append)
+    warmup.prepare(say=said.append)
     assert said == []
     monkeypatch.setattr(warmup, "warm_up", lambda: [kernel(2.0) for kernel in new])
-    warmup.prepare(said.append)
+    warmup.prepare(say=said.append)
     assert said == [warmup.COMPILING]

@@ -15,7 +15,7 @@ from sixthsense.evaluation.metrics import nees_world
 from sixthsense.logs.rosbag import read_bag
 from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay, run
-from sixthsense.record.bag import write_bag
+from sixthsense.record.exports import write_bag
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
 from sixthsense.simulation.world import World
