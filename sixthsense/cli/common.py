@@ -158,7 +158,7 @@ def live_view(target: str | None) -> Iterator[OnTick | None]:
             announce(f"view: {view.page}")
         yield view
         view.finish()
-        if view.page and not (view.is_interrupted or is_command_ended()):
+        if view.page and not is_command_ended():
             announce("the view stays open until Ctrl-C")
             with contextlib.suppress(KeyboardInterrupt):
                 view.wait()

@@ -20,7 +20,6 @@ from sixthsense.core.source import Tick, seconds
 from sixthsense.figures import plot
 from sixthsense.logs.runfolder import read_run
 from sixthsense.loop.run import replay
-from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
 
@@ -108,7 +107,7 @@ def animate(
 def _stage(finished: Trace, title: str, has_tours: bool) -> tuple[Any, Any]:
     """The figure of a film and its axes, with limits, a legend, and a layout that stays."""
     shown = {
-        "walls": finished.scene, "people": finished.walkers, "frontiers": _region(finished), "plan": finished.plans,
+        "walls": finished.scene, "people": finished.walkers, "frontiers": _explores(finished), "plan": finished.plans,
         "tour": has_tours, "truth": finished.truths,
     }  # fmt: skip
     figure: Any = plot.new_figure(_WIDTH_IN, _WIDTH_IN)
@@ -136,16 +135,14 @@ def _cleared(ax: Any, title: str) -> None:
     plot.label_plane(ax)
 
 
-def _region(finished: Trace) -> Any:
-    """Where an exploration looks for frontiers; None of another run."""
-    if finished.config.task != "explore" or finished.scene is None:
-        return None
-    return finished.config.region or finished.scene.region
+def _explores(finished: Trace) -> bool:
+    """Whether the run looks for frontiers, in a scene whose region is known."""
+    return finished.config.task == "explore" and finished.scene is not None
 
 
 def _draw(ax: Any, finished: Trace, trace: Trace, tick: Tick, plan: Array, tour: Array) -> None:
     """Draw the trace's newest tick, with the plan and tour (N, 2) of then, world frame."""
-    grid, live, cell_m = trace.draw_map(), trace.live, trace.config.grid.cell_m
+    grid, live = trace.draw_map(), trace.live
     assert grid is not None and live is not None
     pose, area_m2 = Pose.from_array(trace.estimates[-1]), grid.seen_area_m2
     parts = [f"{seconds(tick.stamp_ns - trace.stamps_ns[0]):7.1f} s", *([f"{area_m2:.0f} m² seen"] if area_m2 else [])]
@@ -165,9 +162,8 @@ def _draw(ax: Any, finished: Trace, trace: Trace, tick: Tick, plan: Array, tour:
     shown["heading"] = np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])])
     if live.scan is not None:
         shown["returns"] = pose @ live.scan.returns_robot
-    if (region := _region(finished)) is not None:
-        outside_m = finished.config.explore.margin_m
-        shown["frontiers"] = frontier_points(grid, cell_m, region, outside_m, pose.position, trace.radius_m)
+    if _explores(finished):
+        shown["frontiers"] = plot.frontiers(trace)
     if len(tour):
         shown["tour"] = np.vstack([pose.position, tour[1:]])
     if trace.truths:

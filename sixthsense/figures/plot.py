@@ -244,15 +244,23 @@ def shade(
     label_plane(ax)
 
 
-def draw_exploration(ax: Any, trace: Trace) -> None:
-    """Draw the seen area, remaining frontiers, planned paths (pale to dark over time), and places left unseen.
+def frontiers(trace: Trace) -> Array:
+    """(N, 2) frontier cells around the robot: free ones next to an unseen one in the region, in clusters of any size.
 
-    A frontier cell is a free cell next to an unseen one within the region, in clusters of any size.
+    World frame, metres. (0, 2) for a trace without a grid.
     """
+    if trace.grid is None:
+        return np.zeros((0, 2))
+    region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
+    at, margin_m = np.array(trace.estimates[-1])[:2], trace.config.explore.margin_m
+    return frontier_points(trace.grid, trace.config.grid.cell_m, region, margin_m, at, trace.radius_m)
+
+
+def draw_exploration(ax: Any, trace: Trace) -> None:
+    """Draw the seen area, remaining frontiers, planned paths (pale to dark over time), and places left unseen."""
     assert trace.grid is not None
     grid, cell_m = trace.grid, trace.config.grid.cell_m
     seen = grid.seen
-    region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=1.6, label="true walls", zorder=2)
     for k, plan in enumerate(trace.plans):
@@ -262,8 +270,7 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     driven = np.array(trace.estimates).reshape(-1, 3)
     ax.plot(driven[:, 0], driven[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=4)
     ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
-    points = frontier_points(grid, cell_m, region, trace.config.explore.margin_m, driven[-1, :2], trace.radius_m)
-    if len(points):
+    if len(points := frontiers(trace)):
         label = "frontiers not worth a view" if trace.outcome == "explored" else "remaining frontiers"
         ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label=label, zorder=6)
     if trace.left:

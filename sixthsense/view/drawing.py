@@ -6,6 +6,7 @@ is in metres, world frame, except for the body below `map/robot`, which is in th
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from datetime import timedelta
@@ -19,18 +20,13 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.evaluation import metrics
 from sixthsense.figures import plot
-from sixthsense.navigation.frontier import frontier_points
-from sixthsense.record.trace import STAGES, Trace
+from sixthsense.record.trace import Trace
 
 _FREE, _OBSTACLE = 1, 2  # classes of the grid's cells; 0 is unseen
 _THIN, _THICK = 1.0, 2.0  # of lines, pixels
 _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
 _FILE_TICK = timedelta(seconds=5.0)  # wall time between two writes to a file
 _BAND = "#999999"
-_STAGE_COLORS = (
-    "#999999", plot.WALL_FOUND, plot.ESTIMATE, plot.ODOMETRY, plot.LANDMARK, plot.OBSERVATION, plot.PLAN,
-    plot.WALL_FOUND, plot.LANDMARK, plot.OBSERVATION,
-)  # fmt: skip
 
 
 class Drawing:
@@ -72,8 +68,6 @@ class Drawing:
         for kind in ("nees", "nis"):
             for end in ("low", "high"):
                 self._series(f"plots/{kind}/{end}", f"95 % band, {end}", _BAND)
-        for stage, color in zip(STAGES, _STAGE_COLORS, strict=True):
-            self._series(f"plots/timing/{stage}", stage, color)
 
     def set_time(self, now_s: float, scan: int) -> None:
         """Set the source's time and the scan number of the following data."""
@@ -137,18 +131,16 @@ class Drawing:
 
     def flush(self, timeout_s: float) -> None:
         """Wait until all data is sent, or the viewer is gone."""
-        try:
+        with contextlib.suppress(Exception):  # a closed viewer is not a failure of the run
             self._stream.flush(timeout_sec=timeout_s)
-        except Exception:  # a closed viewer is not a failure of the run
-            return
 
     def close(self) -> None:
         """End the stream."""
         self._stream.disconnect()
 
     def _grid(self, trace: Trace) -> None:
-        grid, known = trace.draw_map(), plot.known_blocks(trace)
-        if known is None or grid is None:
+        trace.draw_map()
+        if (known := plot.known_blocks(trace)) is None:
             return
         part, (left, _, bottom, _) = known
         image = np.select([part == 100, part == 0], [_OBSTACLE, _FREE], 0).astype(np.uint8)
@@ -156,10 +148,7 @@ class Drawing:
         place = self._rr.Transform3D(translation=[left, bottom, 0.0], scale=[cell_m, cell_m, 1.0])
         self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
         if trace.config.task == "explore" and trace.scene is not None:
-            region = trace.config.region or trace.scene.region
-            outside_m, at = trace.config.explore.margin_m, np.array(trace.estimates[-1])[:2]
-            frontiers = frontier_points(grid, cell_m, region, outside_m, at, trace.radius_m)
-            self._points("map/frontiers", frontiers, plot.TRUTH, 1.5)
+            self._points("map/frontiers", plot.frontiers(trace), plot.TRUTH, 1.5)
 
     def _landmarks(self, trace: Trace) -> None:
         points, covs, extents = plot.landmarks_of(trace)

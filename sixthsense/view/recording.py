@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from pathlib import Path
 
@@ -36,19 +37,19 @@ class View:
         place, without Rerun, and for a window without a display.
         """
         check_view_target(place, address)
-        self._viewer: Viewer | None = None
-        if str(place) == "window":
-            self._viewer = Viewer("window")
-        elif str(place) == "browser":
-            self._viewer = Viewer("browser", address)
-        self._drawing = Drawing(place if self._viewer is None else self._viewer.stream)
+        self._viewer = Viewer(str(place), address) if str(place) in ("window", "browser") else None
         self.page = "" if self._viewer is None else self._viewer.page
         """address of the page for a browser; empty for a window or a file"""
+        self._open = contextlib.ExitStack()
+        if self._viewer is not None:
+            self._open.callback(self._viewer.end if self.page else self._viewer.leave)
+        self._drawing = Drawing(place if self._viewer is None else self._viewer.stream)
+        self._open.callback(self._drawing.close)
+        self._open.callback(self.finish)
         self._trace: Trace | None = None
         self._scans = self._keys = self._plans = 0
         self._next_s = -math.inf  # time of the next map
         self._revision: Revision | None = None  # of the grid sent last
-        self._is_open = True
 
     def __enter__(self) -> View:
         return self
@@ -91,11 +92,6 @@ class View:
         self._drawing.map(trace, revision != self._revision)
         self._revision = revision
 
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether the run was ended by Ctrl-C."""
-        return self._trace is not None and self._trace.outcome == "interrupted"
-
     def wait(self) -> None:
         """Keep the server for browsers until Ctrl-C; return at once for a window or a file."""
         if self.page and self._viewer is not None:
@@ -103,14 +99,4 @@ class View:
 
     def close(self) -> None:
         """End the view; a window stays open until the user closes it."""
-        if not self._is_open:
-            return
-        self._is_open = False
-        self.finish()
-        self._drawing.close()
-        if self._viewer is None:
-            return
-        if self.page:
-            self._viewer.end()
-        else:
-            self._viewer.leave()
+        self._open.close()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import os
-import socket
+import re
 import subprocess
 import sys
+import tempfile
 import time
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
 from urllib.parse import quote
 
 from sixthsense.config.errors import InputError, installing
@@ -19,6 +19,9 @@ from sixthsense.config.section import shown
 from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target, watchdog
 
 _START_TIMEOUT_S = 60.0  # until the viewer listens
+_MOST_BYTES = 1 << 16  # of what the viewer writes first
+_STREAM, _PAGE = rb"gRPC connections on \S+:(\d+)\.", rb"web-viewer at \S+:(\d+) "
+"""what the viewer writes when it listens, with the ports that it has bound"""
 
 
 def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:
@@ -44,35 +47,36 @@ def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:
 class Viewer:
     """A viewer in a separate process that listens on one address: a native window, or a server for browsers."""
 
-    def __init__(self, kind: Literal["window", "browser"], address: str = LOOPBACK) -> None:
-        """Start the viewer and wait until it listens; InputError if it does not."""
+    def __init__(self, kind: str, address: str = LOOPBACK) -> None:
+        """Start a viewer, "window" or "browser", and wait until it listens; InputError if it does not."""
         host = f"[{address}]" if ":" in address else address
-        port = _free_port(address)
-        self.stream = f"rerun+http://{host}:{port}/proxy"
-        """address that data is sent to"""
-        self.page = ""
-        """address of the page for a browser; empty for a window"""
-        command, ports = [_program(), "--bind", address, "--port", str(port)], [port]
+        command = [_program(), "--bind", address, "--port", "0", "--hide-welcome-screen", "--expect-data-soon"]
         if kind == "browser":
-            ports.append(_free_port(address))
-            origin = f"http://{host}:{ports[1]}"
-            self.page = f"{origin}/?url={quote(self.stream, safe='')}"
-            command += ["--serve-web", "--web-viewer-port", str(ports[1]), "--cors-allow-origin", origin]
-        else:
-            command += ["--hide-welcome-screen", "--expect-data-soon"]
-        null = subprocess.DEVNULL
+            command += ["--serve-web", "--web-viewer-port", "0", "--cors-allow-origin", f"http://{host}:*"]
         # A session of its own: Ctrl-C stops the run, and the viewer keeps showing its end. The watchdog ends the viewer
         # when this process is gone.
-        self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", watchdog.__file__, *command],
-            env=_environment(), stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True,
-        )  # fmt: skip
+        with tempfile.TemporaryFile() as written:
+            self._process = subprocess.Popen(
+                [sys.executable, "-I", "-S", watchdog.__file__, *command],
+                env=_environment(), stdin=subprocess.PIPE, stdout=written, stderr=written, start_new_session=True,
+            )  # fmt: skip
+            self.stream = f"rerun+http://{host}:{self._port(written.fileno(), _STREAM)}/proxy"
+            """address that data is sent to"""
+            self.page = ""
+            """address of the page for a browser; empty for a window"""
+            if kind == "browser":
+                port = self._port(written.fileno(), _PAGE)
+                self.page = f"http://{host}:{port}/?url={quote(self.stream, safe='')}"
+
+    def _port(self, written: int, pattern: bytes) -> str:
+        """The port that the viewer has bound, by what it has written to a file descriptor; InputError without one."""
         deadline = time.monotonic() + _START_TIMEOUT_S
-        while not all(_listens(address, port) for port in ports):
+        while (found := re.search(pattern, os.pread(written, _MOST_BYTES, 0))) is None:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.end()
-                raise InputError("view", f"Rerun's viewer does not start on {address}", "FILE.rrd")
+                raise InputError("view", "Rerun's viewer does not start", "an IP address of this machine, or FILE.rrd")
             time.sleep(0.05)
+        return found[1].decode()
 
     def wait(self) -> None:
         """Wait until the viewer ends, or Ctrl-C."""
@@ -113,23 +117,4 @@ def _program() -> str:
 def _environment() -> dict[str, str]:
     """The environment without usage statistics: the viewer sends none if `CI` is set."""
     kept = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
-    return kept | {"CI": "1", "TELEMETRY_ENABLED": "false"}
-
-
-def _free_port(address: str) -> int:
-    try:
-        family = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)[0][0]
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.bind((address, 0))
-            return int(probe.getsockname()[1])
-    except OSError as error:
-        found = f"found {address}, which cannot be bound ({error.strerror})"
-        raise InputError("bind", found, "an IP address of this machine") from None
-
-
-def _listens(address: str, port: int) -> bool:
-    try:
-        with socket.create_connection((address, port), timeout=1.0):
-            return True
-    except OSError:
-        return False
+    return kept | {"CI": "1", "TELEMETRY_ENABLED": "false", "RUST_LOG": "info"}

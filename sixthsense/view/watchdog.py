@@ -7,7 +7,6 @@ that asked, which the operating system closes when the process ends. Before an e
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
@@ -35,7 +34,6 @@ def main(command: list[str]) -> int:
         if sys.stdin.buffer.read() != STAY:
             end(process)
 
-    signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=end, args=(process,)).start())
     threading.Thread(target=watch, daemon=True).start()
     return process.wait()
 

@@ -1,5 +1,6 @@
 """What a live run tells the network: commands and what stops them, the map, the verdict; and what it finds odd."""
 
+import math
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from driven import config, mirrored, ticks
+from general import covariances, poses, some
+from hypothesis import given
 from processes import wait_until
 
 import sixthsense as ss
 from sixthsense.config import preset
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
 from sixthsense.live import publishing
@@ -21,13 +24,18 @@ from sixthsense.live.publishing import (
     LEVELS,
     LOOK_NS,
     MAP,
+    PLAN,
+    POSE,
+    TF,
     Commands,
     MapSender,
     diagnostics,
     first_look,
     pose_covariance,
+    publisher,
 )
-from sixthsense.live.reading import TWIST_STAMPED, MessageReader
+from sixthsense.live.reading import TWIST_STAMPED, MessageReader, Notices
+from sixthsense.live.robot import LiveRobot
 from sixthsense.logs.log import Log
 from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.loop.run import replay
@@ -40,6 +48,7 @@ from sixthsense.slam.mapping.grid import Grid, Walls
 from sixthsense.slam.mapping.mapper import Mapper
 
 MAKE = Messages()
+MS, HOUR = 1_000_000, 3_600_000_000_000
 CONFIG = preset(grid={"cell_m": 0.15})
 
 
@@ -175,3 +184,69 @@ def test_a_laser_from_right_to_left_is_said_once_and_one_that_is_right_never():
     assert said_by(mirrored(), later_s - 2.0) == [] == said_by(ticks(), later_s + 9.0)
     (line,) = said_by(mirrored(), later_s + 9.0)
     assert "scans turn against the odometry" in line
+
+
+class Sink:
+    """A node that keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF, PLAN)}
+
+    def writer(self, topic: Any) -> Any:
+        keep = self.sent[topic.name].append
+        return SimpleNamespace(send=lambda data: keep(MAKE.store.deserialize_cdr(data, topic.type)))
+
+
+def robot_with(T_joined_odom: Pose) -> LiveRobot:
+    robot = LiveRobot(lambda _: (), Notices(print), preset("log"))
+    robot.joiner.T_joined_odom, robot.odom_frame = T_joined_odom, "wheels"
+    return robot
+
+
+def a_trace(estimate: Pose, key: Pose, key_cov: np.ndarray, since: Pose, since_cov: np.ndarray) -> Any:
+    return SimpleNamespace(
+        estimates=[(7.0, 8.0, 2.0), estimate.array()],
+        key_estimates=[None, SimpleNamespace(pose=key, pose_cov=key_cov)],
+        since_key=[(7.0, 8.0, 2.0), since.array()],
+        live=SimpleNamespace(since_cov=since_cov),
+        plans=[],
+    )
+
+
+@some
+@given(poses, poses, covariances, poses, covariances, poses)
+def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
+    T_joined_odom, key, key_cov, since, since_cov, odometry
+):
+    robot, sink, estimate = robot_with(T_joined_odom), Sink(), key @ since
+    trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
+    publish = publisher(sink.writer, robot)
+    publish(Tick(time_ns, odometry), trace)
+    assert not any(sink.sent.values())
+    publish(Tick(time_ns, odometry, a_scan(np.random.default_rng(1))), trace)
+    trace.plans.append(np.array([[1.5, 2.5], [3.5, -0.5], [4.5, 0.7]]))
+    for _ in range(2):
+        publish(Tick(time_ns + 1, odometry), trace)
+    (plan,) = sink.sent["/plan"]
+    found = [(at.pose.position.x, at.pose.position.y) for at in plan.poses]
+    assert found == [(1.5, 2.5), (3.5, -0.5), (4.5, 0.7)] and plan.header.frame_id == "map"
+    (pose,), ((link,),) = sink.sent["/pose"], (message.transforms for message in sink.sent["/tf"])
+    assert (stamp_ns(pose), stamp_ns(link)) == (time_ns, time_ns + 200 * MS)
+    assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (estimate.x, estimate.y)
+    heading = 2.0 * math.atan2(pose.pose.pose.orientation.z, pose.pose.pose.orientation.w)
+    assert wrap_angle(heading - estimate.theta) == pytest.approx(0.0, abs=1e-12)
+    # Against adjoints: the error in the axes of the keyframe, brought to those of the robot and of the world.
+    cov, moved = pose.pose.covariance.reshape(6, 6), since.inverse().adjoint()
+    in_key = Pose(theta=key.theta).adjoint().T @ key_cov @ Pose(theta=key.theta).adjoint()
+    in_robot = moved @ in_key @ moved.T + since_cov
+    to_world = Pose(theta=estimate.theta).adjoint()
+    plane = np.ix_((0, 1, 5), (0, 1, 5))
+    np.testing.assert_allclose(cov[plane], to_world @ in_robot @ to_world.T, rtol=1e-9, atol=1e-9)
+    assert np.count_nonzero(cov) == 9
+    # The robot's own message of odometry, in the frame that is published.
+    T_map_odom = Pose(link.transform.translation.x, link.transform.translation.y,
+                      2.0 * math.atan2(link.transform.rotation.z, link.transform.rotation.w))  # fmt: skip
+    assert (link.header.frame_id, link.child_frame_id) == ("map", "wheels")
+    at = T_map_odom @ (T_joined_odom.inverse() @ odometry)
+    assert at.position == pytest.approx(estimate.position, abs=1e-9)
+    assert wrap_angle(at.theta - estimate.theta) == pytest.approx(0.0, abs=1e-9)

@@ -151,15 +151,6 @@ def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
     assert bench.commands(1020) == {Command()}
 
 
-def test_a_publisher_that_takes_the_place_of_another_is_used_once_the_first_is_silent(bench):
-    bench.run(1000)
-    bench.has_odometry = False
-    bench.turn(1500)
-    bench.has_odometry, bench.publishers = True, ["again"]
-    bench.run(2000)
-    assert bench.robot.outcome is None and bench.sent[-1][1] == FORWARD
-
-
 def test_odometry_that_jumps_goes_on_from_where_it_was_where_a_robot_is_listened_to(listening):
     listening.run(1000)
     listening.off = Pose(5.0, -4.0, 2.0)

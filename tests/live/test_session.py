@@ -1,6 +1,5 @@
 """A simulated robot and who listens to it, on this machine's network: what each takes of the other."""
 
-import itertools
 import math
 import os
 import threading
@@ -20,11 +19,10 @@ from sixthsense.live import simulated
 from sixthsense.live.network import SENSOR, Network, Node
 from sixthsense.live.reading import TWIST, MessageReader
 from sixthsense.live.session import Session, Topics, check_drive
-from sixthsense.live.simulated import SimulatedRobot, drive_by_commands
+from sixthsense.live.simulated import SimulatedRobot
 from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.logs.transforms import TransformTree
 from sixthsense.record.messages import Messages
-from sixthsense.simulation.mission import Mission
 from sixthsense.simulation.scene import load_scene
 from sixthsense.simulation.world import World
 
@@ -61,8 +59,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
         try:
             session.configure(True)
             driven = session.config
-            stated = driven.laser.replaced(mount=(0.3, 0.4, -0.5), max_range=3.5)
-            session.config = driven.replaced(laser=stated)
+            session.config = driven.replaced(laser=driven.laser.replaced(mount=(0.3, 0.4, -0.5), max_range=3.5))
             session.configure(False)
         finally:
             is_over.set()
@@ -99,40 +96,6 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
     for (_, x, y, _, _, _, z, w), tick in zip(truth, ticks, strict=True):
         assert (x, y, 2.0 * math.atan2(z, w)) == pytest.approx(tuple(tick.truth.array()), abs=1e-6)
     assert ticks[-1].truth.theta != ticks[-1].odometry.theta
-
-
-class Robot:
-    """Takes the commands of a list, one a tick, then none."""
-
-    def __init__(self, *commands: Command) -> None:
-        self.commands, self.ticks = list(commands), []
-
-    def command(self) -> Command | None:
-        return self.commands.pop(0) if self.commands else None
-
-    def send(self, tick) -> None:
-        self.ticks.append(tick)
-
-
-def test_a_robot_stands_when_no_command_has_come_for_its_timeout_and_the_drive_ends_after_its_time(monkeypatch):
-    class Clock:
-        now = 50.0
-
-        def monotonic(self) -> float:
-            return self.now
-
-        def sleep(self, seconds: float) -> None:
-            self.now += seconds
-
-    monkeypatch.setattr(simulated, "time", Clock())
-    config = preset("noiseless", max_time=3.0, robot={"control_period_s": 0.05})
-    task = Mission(load_scene("rectangle"), START, np.zeros((0, 2)), 0.1, None)
-    robot = Robot(Command(), Command(0.1, 0.3))
-    assert drive_by_commands(robot, config, task, 0.5) == "time is up"
-    assert len(robot.ticks) == 61
-    pairs = itertools.pairwise(robot.ticks)
-    moved_s = [tick.stamp_ns * 1e-9 for before, tick in pairs if before.truth != tick.truth]
-    assert (moved_s[0], moved_s[-1]) == (pytest.approx(0.05), pytest.approx(0.55, abs=0.051))
 
 
 @pytest.mark.parametrize(("task", "name"), [("explore", "region"), ("goal", "goal"), ("tour", "tour")])
