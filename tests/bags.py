@@ -61,22 +61,13 @@ class Bag:
         return self.make("geometry_msgs/Pose", place, self.turned(pose, turn))
 
     def spread(self, pose: Pose, turn: tuple[float, ...] | None = None, cov: Any = None) -> Any:
-        return self.make(
-            "geometry_msgs/PoseWithCovariance", self.pose(pose, turn), np.zeros(36) if cov is None else cov
-        )
+        cov = np.zeros(36) if cov is None else cov
+        return self.make("geometry_msgs/PoseWithCovariance", self.pose(pose, turn), cov)
 
     def odometry(
-        self,
-        stamp_ns,
-        pose,
-        topic="/odom",
-        *,
-        turn=None,
-        frame="odom",
-        child="base_footprint",
-        record_ns=None,
-        cov=None,
-    ) -> None:
+        self, stamp_ns, pose, topic="/odom", *, turn=None, frame="odom", child="base_footprint",
+        record_ns=None, cov=None,
+    ) -> None:  # fmt: skip
         zero = self.make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
         twist = self.make("geometry_msgs/Twist", zero, zero)
         twist = self.make("geometry_msgs/TwistWithCovariance", twist, np.zeros(36))

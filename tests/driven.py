@@ -38,11 +38,8 @@ def config(**changes: object) -> Config:
 @functools.cache
 def ticks() -> tuple[Tick, ...]:
     """The ticks of the tour that have scans, without truth."""
-    settings, goals, command = (
-        config(laser={"beams": 240, "max_range": 11.0, "mount": MOUNT, "period_ticks": 3}),
-        [*TOUR],
-        Command(),
-    )
+    settings = config(laser={"beams": 240, "max_range": 11.0, "mount": MOUNT, "period_ticks": 3})
+    goals, command = [*TOUR], Command()
     world = World(WALLS, START, 0.2, settings, random_streams(7).world)
     found = []
     while goals:

@@ -3,14 +3,13 @@
     python tests/mutants.py PATH... [--sample N] [--seed S] [--out FILE]
 
 A path is a file or a folder of the package. Two processes work, each in a copy of the tree. A result is a line of JSON
-in FILE. It is kept: a kill while the mutated text is the same, a survivor while the tests are the same too.
+in FILE.
 """
 
 import argparse
 import ast
 import contextlib
 import difflib
-import hashlib
 import itertools
 import json
 import os
@@ -204,22 +203,16 @@ def outcome(copy: Path, trial: Trial, limit: float) -> str:
             kernel.rename(kernel.with_suffix(""))
 
 
-def digest(*texts: str) -> str:
-    return hashlib.sha256("\0".join(texts).encode()).hexdigest()[:16]
-
-
 def mutants(paths: list[str]) -> list[dict[str, Any]]:
-    """All mutants of the files: where they are, what their result depends on, and the trial."""
+    """All mutants of the files: where they are, what is changed, and the trial."""
     files = {file for one in map(Path, paths) for file in (one.rglob("*.py") if one.is_dir() else [one])}
     found = []
     for path in sorted(str(file.resolve().relative_to(ROOT)) for file in files):
         text, tests, source = (ROOT / path).read_text(), tests_of(path), (ROOT / path).read_bytes()
-        key = {"tests": digest(*((ROOT / one).read_text() for one in tests))}
         for (begin, end, new, kind), compiled in changes(text).items():
             mutated, line = (source[:begin] + new + source[end:]).decode(), source[:begin].count(b"\n") + 1
-            key["mutant"] = digest(path, mutated)
             trial = path, text, mutated, compiled, tests
-            found.append({"where": f"{path}:{line}", "kind": kind, **key, "trial": trial})
+            found.append({"where": f"{path}:{line}", "kind": kind, "trial": trial})
     return found
 
 
@@ -234,32 +227,26 @@ def main() -> None:
     if chosen.sample is not None and chosen.sample < len(found):
         found = sorted(random.Random(chosen.seed).sample(found, chosen.sample), key=lambda one: str(one["where"]))
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
-    chosen.out.touch()
-    known = {one["mutant"]: one for one in map(json.loads, chosen.out.read_text().splitlines())}
-    for mutant in found:
-        diff = difflib.unified_diff(*(text.splitlines() for text in mutant["trial"][1:3]), n=0, lineterm="")
-        mutant["diff"], old = [*diff][3:], known.get(mutant["mutant"], {})
-        if old.get("outcome") in ("killed", "timeout") or old.get("tests") == mutant["tests"]:
-            mutant |= old
     limits = {}
-    for tests in sorted({tuple(sorted(one["trial"][-1])) for one in found if "outcome" not in one}):
+    for tests in sorted({tuple(sorted(one["trial"][-1])) for one in found}):
         begin = time.monotonic()
         if run_tests(ROOT, list(tests)) != "survived":
             sys.exit(f"without a mutation, a test fails of {' '.join(tests)}")
         limits[tests] = 60 + 4 * (time.monotonic() - begin)
-    with tempfile.TemporaryDirectory() as folder, chosen.out.open("a") as results, ThreadPoolExecutor(2) as pool:
+    with tempfile.TemporaryDirectory() as folder, chosen.out.open("w") as results, ThreadPoolExecutor(2) as pool:
         copies = queue.SimpleQueue[Path]()
         for name in ("first", "second"):
             copies.put(copied(Path(folder) / name))
 
         def tried(mutant: dict[str, Any]) -> dict[str, Any]:
             trial = mutant.pop("trial")
-            if "outcome" not in mutant:
-                copy, begin = copies.get(), time.monotonic()
-                mutant["outcome"] = outcome(copy, trial, limits[tuple(sorted(trial[-1]))])
-                mutant["seconds"] = round(time.monotonic() - begin, 1)
-                copies.put(copy)
-                print(json.dumps(mutant), file=results, flush=True)
+            diff = difflib.unified_diff(*(text.splitlines() for text in trial[1:3]), n=0, lineterm="")
+            mutant["diff"] = [*diff][3:]
+            copy, begin = copies.get(), time.monotonic()
+            mutant["outcome"] = outcome(copy, trial, limits[tuple(sorted(trial[-1]))])
+            mutant["seconds"] = round(time.monotonic() - begin, 1)
+            copies.put(copy)
+            print(json.dumps(mutant), file=results, flush=True)
             return mutant
 
         survivors = 0

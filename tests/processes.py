@@ -16,14 +16,9 @@ def _listen() -> None:
 
 def start(*words: str, program: str = "", **options: Any) -> subprocess.Popen[str]:
     # As the installed script does it; with -m Python may end by the signal itself, which a shell shows as 130, too.
-    command = [
-        sys.executable,
-        "-c",
-        f"{program}\nimport sys; from sixthsense.cli import main; sys.exit(main())",
-        *words,
-    ]
+    code = f"{program}\nimport sys; from sixthsense.cli import main; sys.exit(main())"
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": _listen}
-    return subprocess.Popen(command, **(piped | options))
+    return subprocess.Popen([sys.executable, "-c", code, *words], **(piped | options))
 
 
 def wait_until(is_so: Callable[[], object]) -> None:

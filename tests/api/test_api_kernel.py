@@ -33,23 +33,12 @@ def press(tick, trace):
 """
 
 
-@pytest.fixture(scope="module")
-def outputs():
+def test_runs_are_cards_and_figures_are_shown_once():
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS.split("---\n")])
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
-    return [cell.outputs for cell in notebook.cells]
-
-
-def kinds(outputs):
-    return [set(output.data) for output in outputs]
-
-
-def test_a_run_at_a_cells_end_is_a_card_and_its_text_is_short(outputs):
-    assert kinds(outputs[0]) == [{"text/html", "text/plain"}]
+    outputs = [cell.outputs for cell in notebook.cells]
+    assert [set(one.data) for one in outputs[0]] == [{"text/html", "text/plain"}]
     assert len(outputs[0][0].data["text/plain"]) < 200
-
-
-def test_a_figure_at_a_cells_end_is_shown_once_and_one_in_a_variable_not_at_all(outputs):
-    assert kinds(outputs[1]) == [{"image/png", "text/plain"}]
-    assert outputs[3] == []
+    assert [set(one.data) for one in outputs[1]] == [{"image/png", "text/plain"}]
+    assert outputs[3] == []  # a figure in a variable
     assert outputs[5][0].data["text/plain"] == "False"

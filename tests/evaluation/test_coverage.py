@@ -3,17 +3,13 @@ import math
 
 import numpy as np
 import pytest
+from scanned import box
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.ray_casting import beams_of
 from sixthsense.evaluation.coverage import VisibleArea, _mark, coverage, visible_area
 
 CIRCLE = np.arange(360) * (2 * math.pi / 360)
-
-
-def box(x0: float, y0: float, x1: float, y1: float) -> list[list[tuple[float, float]]]:
-    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    return [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
 
 
 def segments(*walls) -> Array:
@@ -38,7 +34,7 @@ def test_a_room_behind_a_wall_does_not_count() -> None:
 
 
 def test_a_robot_sees_through_glass_and_goes_no_way_through_it() -> None:
-    walls = segments(*box(0.3, 0.2, 6.3, 4.2), [(4.6, 0.2), (4.6, 3.4)])
+    walls = segments(*box(0.3, 0.2, 6.0, 4.0), [(4.6, 0.2), (4.6, 3.4)])
     glass = segments([(3.4, 0.2), (3.4, 4.2)])
     whole = (0.3, 0.2, 6.3, 4.2), (1.2, 0.9), 0.25, 20.0
     area = visible_area(walls, *whole, glass=glass)

@@ -1,12 +1,10 @@
 import itertools
 import math
-from typing import get_args
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from sixthsense.cli import DONE, EXIT_CODES, INTERRUPTED
 from sixthsense.config import Config, GridConfig, RobotConfig, merge
 from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.core.geometry import Array, Pose
@@ -15,7 +13,7 @@ from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.goals import Goals
-from sixthsense.navigation.navigator import Navigator, Outcome
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners import Plan
 from sixthsense.slam.estimators import Estimate
@@ -74,14 +72,6 @@ def test_a_replay_navigator_commands_nothing_and_is_never_done() -> None:
     assert navigator.step(Pose(3.0, 4.0, 5.0), 10**18) == Command()
     assert navigator.outcome is None
     assert navigator.plans == []
-
-
-def test_outcomes_of_success_exit_with_0_and_all_others_do_not() -> None:
-    explored = {"explored", "explored in part"}
-    assert {o for o in get_args(Outcome) if EXIT_CODES.get(o) == DONE} == {"goal reached", "tour ended", *explored}
-    done = {"goal reached", "tour ended", "log ended", "time is up", "ended by the user", "out of time", *explored}
-    assert {o for o, code in EXIT_CODES.items() if code == DONE} == done
-    assert EXIT_CODES["interrupted"] == INTERRUPTED
 
 
 def test_goals_are_visited_in_turn() -> None:

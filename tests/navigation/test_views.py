@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scanned import box
 
 from sixthsense.config import merge, preset
 from sixthsense.core.geometry import Pose
@@ -21,17 +22,13 @@ CONFIG = preset()
 START = Pose(1.0, 1.0, 0.0)
 
 
-def rectangle(x0, y0, x1, y1):
-    return [[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]]
-
-
-ROOM = np.array(rectangle(0.0, 0.0, 3.0, 3.0))
+ROOM = box(0.0, 0.0, 3.0, 3.0)
 
 
 def two_rooms(door_m):
     """The second room is visible from the first only through the door, whose middle is at (4, 2.3)."""
     half = 0.5 * door_m
-    return np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 2.3 - half]], [[4.0, 2.3 + half], [4.0, 3.0]]])
+    return np.array([*box(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 2.3 - half]], [[4.0, 2.3 + half], [4.0, 3.0]]])
 
 
 class Stage:
