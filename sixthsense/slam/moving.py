@@ -70,8 +70,7 @@ def _count_seen_through(points: Array, pose: Array, cells: Bearings, ranges: Arr
         reach = 1 + int((_TOLERANCE_M / distance + _TOLERANCE_RAD) / cells.spacing)
         through = True
         for k in range(middle - reach, middle + reach + 1):
-            is_seen = cells.closed or 0 <= k < cells.beams
-            if not is_seen or not ranges[k % cells.beams] > distance + _BEYOND_M:
+            if not (cells.closed or 0 <= k < cells.beams) or not ranges[k % cells.beams] > distance + _BEYOND_M:
                 through = False
                 break
         counts[i] += through

@@ -201,8 +201,7 @@ def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
         if not (math.isfinite(seen.z[0]) and math.isfinite(seen.z[1])):
             raise ValueError(f"observation of landmark {i}: found z {seen.z}, allowed: finite numbers")
         (a, b), (c, d) = seen.cov.tolist()
-        is_valid = abs(b - c) <= COVARIANCE_SLACK * max(a, d) and a > 0.0 and 0.0 < a * d - b * c < math.inf
-        if not is_valid:
+        if not (abs(b - c) <= COVARIANCE_SLACK * max(a, d) and a > 0.0 and 0.0 < a * d - b * c < math.inf):
             fault = covariance_fault(seen.cov, lowest=0.0) or "a singular covariance"
             allowed = "a covariance, symmetric, with positive eigenvalues"
             raise ValueError(f"observation of landmark {i}: found {fault}, allowed: {allowed}")

@@ -61,7 +61,8 @@ class EKF:
         self._head = 3
         """size of the state before the landmarks"""
         self._pending = STANDSTILL
-        self._has_moved = False
+        self._has_begun = False
+        """whether it has moved, or has landmarks"""
         self._trajectory = array("d")
         """x, y and theta at each update, which are returned without a loop over them"""
 
@@ -75,7 +76,7 @@ class EKF:
         cov = to_start @ prior.cov @ to_start.T
         self._cov = block_diag(self._cov, 0.5 * (cov + cov.T))
         self._means, self._walls = means, prior.walls.copy()
-        self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
+        self._slots, self._has_begun = {i: k for k, i in enumerate(prior.ids.tolist())}, len(prior.ids) > 0
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
         """Add the parameters of the wheels, or of the sensor of points, to the state."""
@@ -98,7 +99,7 @@ class EKF:
         check_covariance("odometry", odometry.cov)
         if odometry.is_standstill():
             return
-        self._pending, self._has_moved = self._pending.then(odometry), True
+        self._pending, self._has_begun = self._pending.then(odometry), True
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
@@ -166,10 +167,6 @@ class EKF:
     def _in_world(self, pose: Pose) -> Pose:
         return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
 
-    @property
-    def _has_begun(self) -> bool:
-        return bool(self._slots) or self._has_moved
-
     def _places(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
         """(2k,) places in the state of the landmarks in `slots`."""
         return (self._head + 2 * slots[:, None] + np.arange(2)).ravel()
@@ -224,6 +221,7 @@ class EKF:
         """Append new landmarks, initialized at the pose of this update."""
         if not observations:
             return
+        self._has_begun = True
         G, noise, means, centres = np.zeros((2 * len(observations), self._head)), [], [], []
         for j, seen in enumerate(observations.values()):
             centre = np.zeros(2)

@@ -61,6 +61,8 @@ class PlacedScans:
         self.store = store
         """the scans, a row each"""
         self._keyframes = np.zeros(0, KEYFRAME)
+        self.usual = Usual(0.0, 0.5)
+        """what scans lately had where they were tracked"""
 
     @property
     def count(self) -> int:
@@ -79,8 +81,8 @@ class PlacedScans:
 
     @property
     def usual_agreement(self) -> float:
-        """Share of the returns, of those that are judged, that scans of one place usually agree in."""
-        return 1.0
+        """Share of the returns, of those that are judged, that scans lately agreed in where they were tracked."""
+        return 1.0 - self.usual.contradicted
 
     def add(self, pose: Array) -> None:
         """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
@@ -106,8 +108,6 @@ class ScanGraph(PlacedScans):
         """those that the estimator has, rows of `LINK`"""
         self._old = np.zeros((0, 2), np.int64)
         """(n, 2) ends of the links to old keyframes"""
-        self.usual = Usual(0.0, 0.5)
-        """what scans lately had where they were tracked"""
         self.first = 0
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
@@ -119,11 +119,6 @@ class ScanGraph(PlacedScans):
     def is_kept(self) -> NDArray[np.bool_]:
         """(K,) which keyframes are in the estimator's graph; the poses of others follow their neighbours'."""
         return ~self._keyframes["is_out"]
-
-    @property
-    def usual_agreement(self) -> float:
-        """Share of the returns, of those that are judged, that scans lately agreed in where they were tracked."""
-        return 1.0 - self.usual.contradicted
 
     def refresh(self) -> None:
         """Read all poses from the estimator."""
