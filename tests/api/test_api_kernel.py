@@ -33,7 +33,7 @@ def press(tick, trace):
 """
 
 
-def test_runs_are_cards_and_figures_are_shown_once():
+def test_runs_are_cards_figures_are_shown_once_and_the_stop_button_ends_a_run():
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS.split("---\n")])
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
     outputs = [cell.outputs for cell in notebook.cells]
@@ -42,3 +42,4 @@ def test_runs_are_cards_and_figures_are_shown_once():
     assert [set(one.data) for one in outputs[1]] == [{"image/png", "text/plain"}]
     assert outputs[3] == []  # a figure in a variable
     assert outputs[5][0].data["text/plain"] == "False"
+    assert outputs[7][-1].data["text/plain"] == "['interrupted']"
