@@ -56,7 +56,7 @@ from .figures.plot import save_map as save_map
 from .evaluation.results import Metrics as Metrics
 from .simulation.scene import Scene as Scene
 from .simulation.scene import load_scene as load_scene
-from .simulation.scene import shipped_scenes as shipped_scenes
+from .simulation.scene_files import shipped_scenes as shipped_scenes
 from .figures.run import Run as Run
 from .figures.run import Trace as Trace
 from .figures.run import load as load

@@ -69,10 +69,8 @@ def read_map(file: Path, unknown: Literal["wall", "free"]) -> tuple[Array, tuple
     saved, notes = _SAVED_UNKNOWN * channels, []
     if is_free[saved] and (total == saved).any() and (total == _SAVED_FREE * channels).any():
         is_free[saved] = False
-        notes.append(
-            f"pixels of {_SAVED_UNKNOWN} are unknown, as map_saver writes them; with free_thresh "
-            f"{stated.free_thresh:g} Nav2's map_server takes them as free"
-        )
+        by_nav2 = f"with free_thresh {stated.free_thresh:g} Nav2's map_server takes them as free"
+        notes.append(f"pixels of {_SAVED_UNKNOWN} are unknown, as map_saver writes them; {by_nav2}")
     solid = (is_occupied if unknown == "free" else ~is_free)[total[::-1]]  # the image's first row is the map's top
     if solid.all() or not solid.any():
         raise InputError(image, f"all pixels are {'occupied' if solid.all() else 'free'}", "some of both")
@@ -120,9 +118,7 @@ def _read_image(folder: Path, name: str) -> NDArray[np.uint8]:
             pixels = np.asarray(image.convert("RGBA" if has_alpha else "L" if image.mode in ("1", "L") else "RGB"))
             return pixels.reshape(*pixels.shape[:2], -1)
     except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
-        raise InputError(
-            folder / name, f"not a readable image ({reason_of(error)})", f"{', '.join(_FORMATS)}"
-        ) from None
+        raise InputError(folder / name, f"not a readable image ({reason_of(error)})", ", ".join(_FORMATS)) from None
 
 
 def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

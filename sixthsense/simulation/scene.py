@@ -27,11 +27,8 @@ from sixthsense.simulation.scene_files import (
     in_radians,
     ordered,
     scene_file,
-    shipped_scenes,
 )
 from sixthsense.simulation.scene_grid import Bools, SceneGrid
-
-__all__ = ["InputError", "Scene", "load_scene", "shipped_scenes"]
 
 BODY_M = 0.25
 """radius of the disc that a person's body is"""

@@ -40,8 +40,7 @@ Itinerary = Iterator[tuple[Array, float]]
 
 def _rounds(walk: ScriptedWalk) -> Itinerary:
     """The way points of a scene after the first, again and again."""
-    for k in itertools.count(1):
-        k %= len(walk.points)
+    for k in itertools.islice(itertools.cycle(range(len(walk.points))), 1, None):
         yield np.array(walk.points[k]), walk.pause_s(k)
 
 
