@@ -13,11 +13,11 @@ from processes import wait_until
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
-from sixthsense.core.source import Command
+from sixthsense.core.source import Command, Tick
 from sixthsense.live import session as session_module
 from sixthsense.live import simulated
-from sixthsense.live.network import SENSOR, Network, Node
-from sixthsense.live.reading import TWIST, MessageReader
+from sixthsense.live.network import SENSOR, Message, Network, Node
+from sixthsense.live.reading import POSE, TWIST, MessageReader
 from sixthsense.live.session import Session, Topics, check_drive
 from sixthsense.live.simulated import SimulatedRobot
 from sixthsense.logs.ros_messages import stamp_ns
@@ -128,6 +128,20 @@ def test_a_loopback_that_others_may_reach_is_told_and_no_robot_is_driven_there(m
         with pytest.raises(KeyboardInterrupt):
             session.configure(drive=False)
     assert lines[0] == "interface: found the loopback"
+
+
+def test_the_map_begins_at_the_newest_pose_that_is_set_and_one_of_a_run_is_named(monkeypatch):
+    make, lines = Messages(), []
+    poses = [make.estimate(7, pose, np.eye(3)) for pose in (Pose(1.5, 2.0, 0.5), Pose(-3.0, 5.0, 2.2))]
+    sent = [Message(make.serialized(pose, POSE), "rviz") for pose in poses]
+    reader = SimpleNamespace(topic=SimpleNamespace(name="/initialpose"), messages=lambda: sent, take=lambda: sent)
+    node = SimpleNamespace(leak="", reader=lambda _: reader, close=lambda: None)
+    monkeypatch.setattr(session_module, "Node", lambda _: node)
+    with Session(Network(), Topics(), preset("log"), lines.append) as session:
+        start = session._start()
+        session._refuse_start(Tick(7, Pose()), None)
+    assert start.array() == pytest.approx((-3.0, 5.0, 2.2))
+    assert lines[1] == "the map begins at -3.00 m, 5.00 m, 126°" and lines[2].startswith("a pose is left out")
 
 
 @pytest.mark.parametrize(("of", "said"), [
