@@ -14,7 +14,6 @@ from general import covariances, poses, some
 from hypothesis import given
 from processes import wait_until
 
-import sixthsense as ss
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan
@@ -31,7 +30,6 @@ from sixthsense.live.publishing import (
     MapSender,
     diagnostics,
     first_look,
-    pose_covariance,
     publisher,
 )
 from sixthsense.live.reading import TWIST_STAMPED, MessageReader, Notices
@@ -43,17 +41,12 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import DIAGNOSTICS, Messages
-from sixthsense.record.trace import Trace
 from sixthsense.slam.mapping.grid import Grid, Walls
 from sixthsense.slam.mapping.mapper import Mapper
 
 MAKE = Messages()
 MS, HOUR = 1_000_000, 3_600_000_000_000
 CONFIG = preset(grid={"cell_m": 0.15})
-
-
-def test_before_the_first_keyframe_nothing_is_known():
-    assert not pose_covariance(Trace(ss.preset(), None, 0.2)).any()
 
 
 @pytest.mark.parametrize("command", [Command(0.37, 0.0), Command(0.0, -0.62), Command(-0.37, 0.62)])

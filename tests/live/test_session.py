@@ -79,8 +79,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
         stamps = {stamp_ns(reader.read(data, simulated.SCAN.type)) for data in scans.take()}
     assert tree.mount("base_link", "laser")[0].array() == pytest.approx(LASER["mount"])
     laser = driven.laser
-    assert (laser.beams, laser.max_range, laser.mount) == (90, 7.5, pytest.approx(LASER["mount"]))
-    assert laser.fov == pytest.approx(4.0, rel=1e-6)
+    assert (laser.beams, laser.max_range, *laser.mount, laser.fov) == pytest.approx((90, 7.5, *LASER["mount"], 4.0))
     # A command is followed within 0.1 s, and the laser's period of at least 0.12 s is that of its stamps.
     assert driven.robot.control_period_s == 0.1 and laser.period_ticks == 2
     assert (session.config.laser.mount, session.config.laser.max_range) == ((0.3, 0.4, -0.5), 3.5)
