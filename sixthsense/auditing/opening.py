@@ -21,7 +21,7 @@ from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.logs import is_run_folder, kind_of
 from sixthsense.logs.diagnose import findings_of
-from sixthsense.logs.joining import Odometry
+from sixthsense.logs.log import Odometry
 from sixthsense.logs.stamps import ascending, matched, unit_of
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         return _of_arrays("truth", source, ("stamps", "poses"))
     path = Path(source)
     if kind_of(path) == "bag":
-        from sixthsense.logs.bag_file import read_poses
+        from sixthsense.logs.rosbag import read_poses
 
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
@@ -104,7 +104,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if kind_of(path) == "bag":
-        from sixthsense.logs.bag_file import read_poses
+        from sixthsense.logs.rosbag import read_poses
 
         found = read_poses(path, topic)
         poses = poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)

@@ -18,7 +18,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick, seconds
 from sixthsense.figures import plot
-from sixthsense.logs.runfolder import read_run
+from sixthsense.logs.runfolder import FILE, paths_of, read_messages, read_run
 from sixthsense.loop.run import replay
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
@@ -80,8 +80,8 @@ def animate(
     """
     check_film(file, finished)
     file, config = Path(file), load_config(Path(folder) / "config.toml")
-    log = read_run(folder, config.laser)
-    plans, tours = log.paths("plan"), log.paths("tour")
+    log, (messages, _) = read_run(folder, config.laser), read_messages(Path(folder) / FILE)
+    plans, tours = paths_of(messages, "plan"), paths_of(messages, "tour")
     file.parent.mkdir(parents=True, exist_ok=True)
     figure, ax = _stage(finished, title, bool(tours))
     due = set(np.linspace(0, len(finished.stamps_ns) - 1, max(frames, 2)).round().astype(int).tolist())

@@ -20,8 +20,8 @@ from sixthsense.live.network import LATCHED, RELIABLE, Topic, Writer
 from sixthsense.live.reading import TWIST, TWIST_STAMPED
 from sixthsense.live.robot import LiveRobot
 from sixthsense.logs.diagnose import findings_of
-from sixthsense.logs.joining import Odometry as Track
-from sixthsense.logs.joining import Sighting
+from sixthsense.logs.log import Odometry as Track
+from sixthsense.logs.log import Sighting
 from sixthsense.loop.run import OnTick
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import DIAGNOSTICS, WORLD, Messages

@@ -15,8 +15,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.logs.laser_geometry import FARTHEST_M
-from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, frame_name, planar, scan, stamp_ns, transform
-from sixthsense.logs.transforms import TransformTree
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, TransformTree, frame_name, planar, scan, stamp_ns
 from sixthsense.record.messages import WORLD, Messages
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -69,7 +68,7 @@ class MessageReader:
         """Add the static transforms of a message to a tree, unless it is large already."""
         for link in self.read(data, TRANSFORMS).transforms[: _MOST_FRAMES - len(tree.links)]:
             parent, child = frame_name(link.header.frame_id), frame_name(link.child_frame_id)
-            tree.add_static(parent, child, transform(link.transform))
+            tree.add_static(parent, child, link.transform)
 
     def command(self, data: bytes, name: str = TWIST) -> Command:
         """The command of a Twist, or of a TwistStamped if that is the type of this name."""

@@ -19,7 +19,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Command, Tick, seconds
 from sixthsense.live.reading import Notices, RobotPose
-from sixthsense.logs.joining import JOLT_M, JOLT_RAD, Odometry, pose_at
+from sixthsense.logs.log import JOLT_M, JOLT_RAD, Odometry, pose_at
 from sixthsense.loop.interrupt import is_command_ended
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator

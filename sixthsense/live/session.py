@@ -33,8 +33,7 @@ from sixthsense.live.reading import (
 )
 from sixthsense.live.robot import AheadPilot, LiveRobot, Received, Steering
 from sixthsense.logs.log import described_laser
-from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.logs.transforms import TransformTree
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, TransformTree
 from sixthsense.loop.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.loop.run import OnTick, combined_hooks, recorded_drive
 from sixthsense.navigation import make_navigator

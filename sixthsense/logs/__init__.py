@@ -12,11 +12,15 @@ if TYPE_CHECKING:
     from sixthsense.config import AssumedConfig, LaserConfig
     from sixthsense.logs.log import Log
 
-_CARMEN = (".log", ".clf", ".carmen")
 _COMPRESSED = (".gz", ".bz2", ".xz")
-_BAGS = (".bag", ".mcap", ".db3")
-_GRAPHS = (".graph", ".g2o")
-_MRCLAM = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
+_SUFFIXES: dict[str | bytes, Literal["carmen", "graph", "bag"]] = {
+    ".log": "carmen", ".clf": "carmen", ".carmen": "carmen", ".graph": "graph", ".g2o": "graph",
+    ".bag": "bag", ".mcap": "bag", ".db3": "bag",
+}  # fmt: skip
+_ALLOWED = (
+    "CARMEN (.log, .clf, .carmen), graph (.graph, .g2o), both also with .gz or .bz2 or .xz, ROS bag (.bag, .mcap, .db3,"
+    " or a folder of them; `zstd -d` makes one of a .zstd), folder of a run, folder of MRCLAM"
+)
 
 
 def open_log(
@@ -37,64 +41,38 @@ def open_log(
     Raises InputError for an unknown kind, with the known ones, and for a file that the reader cannot read.
     """
     from sixthsense.config import LaserConfig, preset
+    from sixthsense.logs import carmen, graph, mrclam, rosbag, runfolder
 
-    path = Path(file)
-    kind = kind_of(path)
-    if kind == "carmen":
-        from sixthsense.logs.carmen import read_carmen
-
-        return read_carmen(path, laser)
-    if kind == "graph":
-        from sixthsense.logs.graph import read_graph
-
-        return read_graph(path)
-    if kind == "run":
-        from sixthsense.logs.runfolder import read_run
-
-        return read_run(path, laser or LaserConfig())
-    if kind == "bag":
-        from sixthsense.logs.rosbag import How, read_bag
-        from sixthsense.logs.transforms import frame_pair
-
-        return read_bag(path, laser or LaserConfig(), How(topics, frame_pair(odometry_frames), odometry))
-    if kind == "mrclam":
-        from sixthsense.logs.mrclam import read_mrclam
-
-        return read_mrclam(path, assumed or preset("mrclam").assumed, robot)
-    if not path.exists():
-        raise InputError(path, "no such file")
-    if path.name.endswith((".db3.zstd", ".mcap.zstd")):
-        allowed = "its folder with metadata.yaml, or what `zstd -d` makes of it"
-        raise InputError(path, "found a piece of a compressed bag", allowed)
-    compressed = f"also with {' or '.join(_COMPRESSED)}"
-    kinds = (
-        f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}), "
-        f"ROS bag ({', '.join(_BAGS)}, or a folder of them), folder of a run, folder of MRCLAM"
-    )
-    raise InputError(path, "found no known kind of log", kinds)
+    path, laser = Path(file), laser or LaserConfig()
+    readers = {
+        "carmen": lambda: carmen.read_carmen(path, laser),
+        "graph": lambda: graph.read_graph(path),
+        "run": lambda: runfolder.read_run(path, laser),
+        "bag": lambda: rosbag.read_bag(path, laser, topics, odometry_frames, odometry),
+        "mrclam": lambda: mrclam.read_mrclam(path, assumed or preset("mrclam").assumed, robot),
+    }
+    if reader := readers.get(kind_of(path)):
+        return reader()
+    raise InputError(path, *(("found no known kind of log", _ALLOWED) if path.exists() else ("no such file",)))
 
 
 def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""]:
     """How a log is read, by its name or what is in it; "" if that is not known."""
-    from sixthsense.logs.bag_file import bag_files, suffix_of
     from sixthsense.logs.carmen import MESSAGES
     from sixthsense.logs.graph import TAGS
+    from sixthsense.logs.rosbag import bag_files, suffix_of
     from sixthsense.logs.text_lines import first_word
 
     if path.is_dir():
         if is_run_folder(path):
             return "run"
-        if (path / "metadata.yaml").is_file() or bag_files(path):
-            return "bag"
-        return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    suffix = next((each for each in reversed(suffixes) if each not in _COMPRESSED), "")
-    if suffix_of(path) or suffix in _BAGS:
+        is_bag = (path / "metadata.yaml").is_file() or bag_files(path)
+        return "bag" if is_bag else "mrclam" if any(path.glob("Robot*_*.dat*")) else ""
+    if suffix_of(path):
         return "bag"
-    if suffix in (*_CARMEN, *_GRAPHS):
-        return "carmen" if suffix in _CARMEN else "graph"
-    word = first_word(path)
-    return "graph" if word in TAGS else "carmen" if word in MESSAGES else ""
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in _COMPRESSED]
+    word = suffixes[-1] if suffixes and suffixes[-1] in _SUFFIXES else first_word(path)
+    return _SUFFIXES.get(word) or ("graph" if word in TAGS else "carmen" if word in MESSAGES else "")
 
 
 def is_run_folder(path: Path) -> bool:

@@ -1,36 +1,46 @@
-"""What is odd in a log: the one place that decides whether clocks, lasers, mounts, units and odometry are right."""
+"""What is odd in a log: the one place that decides whether clocks, lasers, mounts, units and odometry are right.
+
+One fit over the turns that scans and odometry both see has the angle between beams, its sign, and the delay of clocks.
+The turn between two scans is the shift that lays the one's view, ranges by bearing, on the other's. The earlier scan is
+first drawn from where the odometry has the laser later, so that what is left between both views is a turn.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import Config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import MOST_RANGE_M, Scan
+from sixthsense.core.se2 import between, compose
 from sixthsense.core.source import seconds
 from sixthsense.logs.finding import Finding
-from sixthsense.logs.joining import Odometry, Sighting
-from sixthsense.logs.laser_geometry import beams_over
-from sixthsense.logs.log import Log
+from sixthsense.logs.laser_geometry import Beams, beams_over, with_beams
+from sixthsense.logs.log import Log, Odometry, Sighting
 from sixthsense.logs.stamps import passed_s
-from sixthsense.logs.turns import Fit, fit_turns
 
-DEGREES = math.pi / 180.0
 _COMPARED = 100  # scans, evenly over the log
 _MOVED_M, _MOST = 0.3, 0.5  # by which a range has changed, and the share of beams
 _FASTEST = 20.0  # m/s of a vehicle; a slow robot in centimetres is faster
-_FEWEST, _LEAST_WAY_M, _ALONG, _ACROSS = 10, 1.0, 0.85, 0.5
-"""motions and way, m, that say something; shares of a way along a heading that is its own, and across another one"""
-_BACKWARD, _TURNED_RAD = 0.95, 0.5  # share of the way; and by which headings differ that say something
+_FEWEST, _LEAST_WAY_M = 10, 1.0  # motions and way that say something
+_ALONG, _TURNED_RAD = 0.85, 0.5  # share of the way along a heading; and by which headings differ that say something
 _SIGMAS, _LEAST_S, _SCALE_OFF = 4.0, 0.08, 0.15
 """of a value that is not chance; a delay and a scale that are worth a word"""
-_OFF = (0.1, 0.1, 4.0 * DEGREES)
+_OFF = (0.1, 0.1, math.radians(4.0))
 """the same of a mount: x, y, m, and heading"""
+_PAIRS, _APART_S = 400, 0.3  # pairs of scans, evenly over the log, and the time between the two
+_BINS, _SHIFTS, _FEWEST_BINS = 180, 35, 20  # of bearings around a full turn; to either side; that both views have
+_FAR_M, _MOST_M, _CAP_RAD = 30.0, 0.5, 0.2  # ranges beyond are not compared; caps of errors
+_TURN_RAD, _FEWEST_TURNS, _NOISE_RAD = 0.05, 10, 0.005  # a pair turns by more; fewest of them; and what is seen of it
+_STEP_S, _FINE_S, _MOST_S = 0.02, 0.6, 120.0  # of delays; and how far they are searched, around that of other clocks
+_EXPLAINED, _LIKELIER = 0.7, 20.0  # share of the squared turns of a fit; log likelihood ratio to another one
 
 
 def diagnose(log: Log) -> list[Finding]:
@@ -47,27 +57,25 @@ def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
     What the configuration states is not looked for. Raises InputError for a log that cannot be right.
     """
     log = log.later(config.time_offset or 0.0)
-    said = []
-    for finding in [*log.found, *findings_of(log.sightings, log.odometry, log.candidates)]:
+    stated = {"clocks": config.time_offset is not None, "frozen_odometry": config.no_odometry}
+    found = [*log.found, *findings_of(log.sightings, log.odometry, log.candidates)]
+    found = [finding for finding in found if not stated.get(finding.kind)]
+    for finding in found:
         if finding.action == "refused":
-            raise InputError("log", f"found {finding.text}", "metres, radians, and one clock")
+            raise InputError("log", f"found {finding.text}", "metres, radians, and odometry along its headings")
         if finding.kind == "clocks":
-            if config.time_offset is not None:
-                continue
             offset_s = round(finding.value, 3)
             log, config = log.later(offset_s), merge(config, {"time_offset": offset_s})
         elif finding.kind == "field_of_view":
-            log = log.with_beams(*beams_over(finding.value, len(log.scans[0].ranges)))
+            beams = beams_over(finding.value, len(log.scans[0].ranges))
+            log = log.anew([each._replace(scan=with_beams(each.scan, beams)) for each in log.sightings], log.odometry)
         elif finding.kind == "frozen_odometry":
-            if config.no_odometry:
-                continue
-            log, config = log.without_odometry(), merge(config, {"no_odometry": True})
-        said.append(finding)
-    return log, config, [*said, *_gaps(log)]
+            log, config = log.anew(log.sightings, None), merge(config, {"no_odometry": True})
+    return log, config, [*found, *_gaps(log)]
 
 
 def findings_of(
-    sightings: Sequence[Sighting], odometry: Odometry | None, candidates: Sequence[tuple[float, float]] = ()
+    sightings: Sequence[Sighting], odometry: Odometry | None, candidates: Sequence[Beams] = ()
 ) -> Iterator[Finding]:
     """What scans and odometry say, or poses alone; `candidates` as those of a `Log`."""
     stands = odometry is not None and not (odometry.poses != odometry.poses[0]).any()
@@ -76,57 +84,38 @@ def findings_of(
     if not sightings:
         return
     scans = [each.scan for each in sightings]
-    yield from _of_ranges(scans)
-    steps = np.diff([each.own_s for each in sightings])
-    repeated = int(np.count_nonzero(steps == 0.0))
-    out_of_order = int(np.count_nonzero(steps < 0.0)) + repeated * (2 * repeated > len(steps))
-    if out_of_order:
-        yield Finding("stamps", out_of_order)
-    fit = None
-    if odometry is not None and not stands:
-        fit = fit_turns(sightings, odometry, candidates)
-    elif odometry is not None and len(scans) > 1:
-        yield Finding("frozen_odometry" if _scans_move(scans) else "still")
-    if fit is not None:
-        yield from _of_turns(fit, open_beams=bool(candidates))
-    if candidates:
-        yield _beams(len(scans[0].ranges), candidates, fit)
-    if odometry is not None and (fit is None or not fit.is_lag):
-        first, last = (seconds(int(odometry.stamps_ns[k])) for k in (0, -1))
-        spans = seconds(sightings[0].stamp_ns), seconds(sightings[-1].stamp_ns)
-        if spans[0] > last or spans[1] < first:
-            place = f"scans from {spans[0]:.3f} to {spans[1]:.3f} s, odometry from {first:.3f} to {last:.3f} s"
-            yield Finding("one_clock", place=place)
-
-
-def _some(scans: Sequence[Scan]) -> Sequence[Scan]:
-    return scans[:: max(1, len(scans) // _COMPARED)]
-
-
-def _of_ranges(scans: Sequence[Scan]) -> Iterator[Finding]:
-    """Ranges that cannot be metres, and scans without a return."""
-    returns = np.concatenate([scan.ranges[scan.is_return] for scan in _some(scans)])
+    some = scans[:: max(1, len(scans) // _COMPARED)]
+    returns = np.concatenate([scan.ranges[scan.is_return] for scan in some])
     if len(returns) and (median := float(np.median(returns))) > MOST_RANGE_M:
         yield Finding("ranges_unit", median)
-    if not len(returns) and not any(scan.is_return.any() for scan in scans):
+    if not any(scan.is_return.any() for scan in scans):
         yield Finding("no_return", len(scans))
+    steps = np.diff([each.own_s for each in sightings])
+    repeated, decreased = (int(np.count_nonzero(is_one)) for is_one in (steps == 0.0, steps < 0.0))
+    if out_of_order := decreased + repeated * (2 * repeated > len(steps)):
+        yield Finding("stamps", out_of_order)
+    if stands and _scans_move(some):
+        yield Finding("frozen_odometry")
+    turns = [] if odometry is None or stands else [*_of_turns(sightings, odometry, candidates)]
+    yield from turns
+    if candidates and not any(finding.kind in ("field_of_view", "assumed_beams") for finding in turns):
+        yield _assumed(candidates[0], len(scans[0].ranges))
 
 
 def _scans_move(scans: Sequence[Scan]) -> bool:
     """Whether scans differ in most of their beams: people who walk by change fewer."""
-    first, changed = scans[0].ranges, []
-    for scan in _some(scans):
-        count = min(len(first), len(scan.ranges))
-        here, there = (np.minimum(ranges[:count], MOST_RANGE_M) for ranges in (first, scan.ranges))
-        changed.append(float(np.mean(np.abs(here - there) > _MOVED_M)))
-    return max(changed) > _MOST
+    changed = 0.0
+    for scan in scans:
+        count = min(len(scans[0].ranges), len(scan.ranges))
+        here, there = (np.minimum(each.ranges[:count], MOST_RANGE_M) for each in (scans[0], scan))
+        changed = max(changed, float(np.mean(np.abs(here - there) > _MOVED_M)))
+    return changed > _MOST
 
 
 def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
     """Units, axes and jumps of odometry, which a robot on wheels follows along its heading."""
-    jumps = odometry.jumps()
-    passed, steps = passed_s(odometry.stamps_ns), np.diff(odometry.poses, axis=0)
-    moved = np.hypot(steps[:, 0], steps[:, 1])
+    jumps, passed = odometry.jumps(), passed_s(odometry.stamps_ns)
+    moved = np.hypot(*np.diff(odometry.poses[:, :2], axis=0).T)
     moves = (moved > 0.0) & np.isfinite(passed)
     way = np.where(moves & (moved <= np.quantile(moved[moves], 0.9)), moved, 0.0) if moves.any() else 0.0 * moved
     wrong = None
@@ -136,10 +125,10 @@ def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
     if wrong is not None:
         yield wrong
     elif len(jumps):
-        sizes = moved[jumps - 1]
-        at_s = seconds(int(odometry.stamps_ns[jumps[np.argmax(sizes)]] - odometry.stamps_ns[0]))
+        worst = jumps[np.argmax(moved[jumps - 1])]
+        after_s = seconds(int(odometry.stamps_ns[worst] - odometry.stamps_ns[0]))
         times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-        yield Finding("jump", float(sizes.max()), place=f"{times}, after {at_s:.1f} s")
+        yield Finding("jump", float(moved[worst - 1]), place=f"{times}, after {after_s:.1f} s")
 
 
 def _of_headings(poses: Array, way: Array) -> Finding | None:
@@ -147,67 +136,183 @@ def _of_headings(poses: Array, way: Array) -> Finding | None:
 
     `way` (N - 1,), m, is that from each pose to the next; 0 where it does not count.
     """
-    steps, heading, total = np.diff(poses[:, :2], axis=0), poses[:-1, 2], way.sum()
-    course = np.arctan2(steps[:, 1], steps[:, 0])
-    turns = DEGREES * np.abs(np.diff(poses[:, 2]))
+    heading, (dx, dy) = poses[:-1, 2], np.diff(poses[:, :2], axis=0).T
+    course, share = np.arctan2(dy, dx), way / way.sum()
+    turns = np.radians(np.abs(np.diff(poses[:, 2])))
     if (np.abs(turns - 2.0 * math.pi) < _TURNED_RAD).any() and np.abs(heading).max() <= 364:
         return Finding("headings_unit")  # which wrap by 360
-    if way @ np.abs(np.sin(course - heading)) < _ACROSS * total:
-        back = float(way @ (np.cos(course - heading) < 0.0) / total)
-        return Finding("driven_backward", back) if back > _BACKWARD else None
-    if np.ptp(np.unwrap(heading)) < _TURNED_RAD or np.abs(way @ np.exp(2j * course)) > _ALONG * total:
+    is_straight = np.ptp(np.unwrap(heading)) < _TURNED_RAD or np.abs(share @ np.exp(2j * course)) > _ALONG
+    if is_straight or share @ np.cos(2.0 * (course - heading)) > 0.5:
         return None  # along a straight way goes any heading that hardly changes
-    read_as = {
-        "headings_unit": course
-        - DEGREES * np.unwrap(heading, period=360.0 if np.ptp(heading) > 7.0 else 2.0 * math.pi),
-        "headings_inverted": course + heading,
-        "axes_exchanged": math.pi / 2.0 - course - heading,
+    degrees = np.unwrap(heading, period=360.0 if np.ptp(heading) > 2.0 * math.pi else 2.0 * math.pi)
+    along = {  # 1 for one direction and its opposite, 0 for all of them
+        "headings_unit": np.abs(share @ np.exp(2j * (course - np.radians(degrees)))),  # from any number of turns on
+        "headings_inverted": share @ np.cos(2.0 * (course + heading)),
+        "axes_exchanged": -share @ np.cos(2.0 * (course + heading)),  # of pi / 2 - course
     }
-    # 1 for one direction and its opposite, 0 for all of them
-    shares = {kind: way @ np.exp(2j * off) / total for kind, off in read_as.items()}
-    shares["headings_unit"] = np.abs(shares["headings_unit"])  # its first one is any number of turns off
-    best = max(shares, key=lambda kind: shares[kind].real)
-    return Finding(best) if shares[best].real > _ALONG else None
+    best = max(along, key=lambda kind: float(along[kind]))
+    return Finding(best) if along[best] > _ALONG else None
 
 
-def _of_turns(fit: Fit, open_beams: bool) -> Iterator[Finding]:
-    """What turns say of clocks, of a mirror, and of the angles of beams or the turns of wheels."""
-    if (
-        fit.is_lag
-        and abs(fit.lag_s) >= max(_LEAST_S, _SIGMAS * fit.lag_sigma_s)
-        and (fit.is_sure or abs(fit.lag_s) < 1.0)
-    ):
-        yield Finding("clocks", fit.lag_s, fit.lag_sigma_s)
-    if fit.is_sure and fit.sign < 0:
-        yield Finding("turned_around")
-    off = abs(math.log(max(fit.scale, 1e-3)))
-    if fit.is_sure and not open_beams and off > max(_SCALE_OFF, _SIGMAS * fit.scale_sigma):
-        yield Finding("turn_scale", fit.scale, fit.scale_sigma)
-
-
-def _beams(count: int, candidates: Sequence[tuple[float, float]], fit: Fit | None) -> Finding:
-    """The beams of scans whose format leaves them open: by the turns, or as they usually are."""
-    is_found = fit is not None and fit.is_candidate and fit.is_sure
-    if fit is not None and is_found and fit.candidate > 0:
-        value = min(-2.0 * candidates[fit.candidate][0], 2.0 * math.pi)  # centred, as `beams_over` has them
-        return Finding("field_of_view", value, value * fit.scale_sigma)
-    first, step = (math.degrees(angle) for angle in candidates[0])
-    by = ", by the turns that odometry and scans see" * is_found
+def _assumed(beams: Beams, count: int, by: str = "") -> Finding:
+    """Of scans whose format leaves their beams open: these are as they usually are."""
+    first, step = map(math.degrees, beams)
     return Finding("assumed_beams", place=f"from {first:g} to {first + step * (count - 1):g}°{by}")
 
 
 def _gaps(log: Log) -> Iterator[Finding]:
     """Scans that have no odometry, but for those of a moment."""
-    if not log.sightings or log.odometry is None:
-        return
     alone = np.array([tick.is_unmeasured and tick.scan is not None for tick in log.ticks])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], alone, [False]]).astype(int)))
-    spans = [(begin, end) for begin, end in edges.reshape(-1, 2).tolist() if end - begin > 1]
-    if spans:
-        stamps_s = [seconds(tick.stamp_ns - log.ticks[0].stamp_ns) for tick in log.ticks]
-        shown = ", ".join(f"from {stamps_s[begin]:.1f} to {stamps_s[end - 1]:.1f} s" for begin, end in spans[:4])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], alone, [0]])))
+    at_s = [seconds(tick.stamp_ns - log.ticks[0].stamp_ns) for tick in log.ticks]
+    spans = [(at_s[begin], at_s[end - 1]) for begin, end in edges.reshape(-1, 2).tolist() if end - begin > 1]
+    if spans and log.odometry is not None:
+        shown = ", ".join(f"from {begin:.1f} to {end:.1f} s" for begin, end in spans[:4])
         more = f" and {len(spans) - 4} more times" * (len(spans) > 4)
         yield Finding("gap", float(alone.sum()), place=shown + more)
+
+
+def _of_turns(sightings: Sequence[Sighting], odometry: Odometry, candidates: Sequence[Beams]) -> Iterator[Finding]:
+    """The delay, the sign and the beams with which scans and odometry turn alike; nothing where the robot hardly turns.
+
+    `candidates` are the beams that the scans may have; by default their own. Clocks may differ by two minutes where the
+    robot turns in a way of its own, and by half a second in any case.
+    """
+    pairs, times_s = _pairs(sightings)
+    known_s = seconds((odometry.stamps_ns - sightings[0].stamp_ns).astype(np.float64))
+    if not len(pairs) or known_s[-1] <= known_s[0]:
+        return
+    poses = np.column_stack([odometry.poses[:, :2], np.unwrap(odometry.poses[:, 2])])
+
+    def turned(some: NDArray[np.int64], lags_s: Array) -> Array:
+        """(L, P) turns between the times of pairs by odometry that is so much later; NaN where it is not known."""
+        at = np.interp(times_s[some] - lags_s[:, None, None], known_s, poses[:, 2], left=np.nan, right=np.nan)
+        return np.asarray(at[..., 1] - at[..., 0])
+
+    own = [each.scan for each in sightings]
+    made = [[with_beams(scan, beams) for scan in own] for beams in candidates] or [own]
+    some, far_s = _evenly(np.arange(len(pairs))), 0.0
+    coarse = np.arange(-_MOST_S, _MOST_S, 5.0 * _STEP_S)
+    seen = _turns(made[0], pairs[some], np.zeros((len(some), 3)))
+    errors = _unexplained(seen, turned(some, coarse))
+    best = int(np.argmin(errors))
+    others = errors[np.abs(coarse - coarse[best]) > 2.0 * _FINE_S]
+    is_explained = errors[best] < (1.0 - _EXPLAINED) * _squares(seen)
+    if is_explained and abs(coarse[best]) > _FINE_S and _likelier(errors[best], others.min(), len(some)):
+        far_s = float(coarse[best])
+    lags = far_s + np.arange(-_FINE_S, _FINE_S + 0.5 * _STEP_S, _STEP_S)
+    around = turned(np.arange(len(pairs)), lags[:: len(lags) // 6])
+    turning = np.flatnonzero(np.isfinite(around).all(axis=0) & (np.abs(around).max(axis=0) > _TURN_RAD))
+    if len(turning) < _FEWEST_TURNS:
+        return
+    some = _evenly(turning)
+    turns = turned(some, lags)
+    columns = [np.interp(times_s[some] - far_s, known_s, column) for column in poses.T]
+    moves = between(*(np.stack([column[:, k] for column in columns], axis=1) for k in (0, 1)))
+    found = []
+    for (k, scans), (sign, ahead) in itertools.product(enumerate(made), ((1, 1.0), (-1, 1.0), (1, -1.0))):
+        mirrored = [scan.mirrored() for scan in scans] if sign < 0 else scans
+        seen = _turns(mirrored, pairs[some], moves * (ahead, ahead, 1.0))  # behind: of a laser that looks back
+        found.append((k, sign, seen, _unexplained(seen, turns)))
+    yield from _judged(found, turns, lags, candidates, len(own[0].ranges))
+
+
+def _judged(
+    found: Sequence[tuple[int, int, Array, Array]], turns: Array, lags: Array, candidates: Sequence[Beams], beams: int
+) -> Iterator[Finding]:
+    """What is sure of the likeliest of candidates, signs and delays."""
+    candidate, sign, seen, errors = min(found, key=lambda each: float(each[3].min()))
+    best = int(np.clip(np.argmin(errors), 1, len(lags) - 2))
+    turning = turns[best, np.isfinite(seen) & (np.abs(turns[best]) > _TURN_RAD)]
+    if (count := len(turning)) < _FEWEST_TURNS:
+        return
+    least, lag_s = max(float(errors[best]), count * _NOISE_RAD**2), float(lags[best])
+    sigma_s, is_sure = _sigma(errors, best, least / count), least < (1.0 - _EXPLAINED) * _squares(turning)
+    is_late = lags[0] * lags[-1] > 0.0 or _likelier(least, errors[len(lags) // 2], count)
+    if is_late and abs(lag_s) >= max(_LEAST_S, _SIGMAS * sigma_s) and (is_sure or abs(lag_s) < 1.0):
+        yield Finding("clocks", lag_s, sigma_s)
+    if is_sure and sign < 0:
+        yield Finding("turned_around")
+    others = [each[3].min() for each in found if each[0] != candidate]
+    if candidates and is_sure and all(_likelier(least, other, count) for other in others):
+        by = ", by the turns that odometry and scans see"
+        value = min(-2.0 * candidates[candidate].first, 2.0 * math.pi)  # centred, as `beams_over` has them
+        yield Finding("field_of_view", value) if candidate else _assumed(candidates[0], beams, by)
+
+
+def _pairs(sightings: Sequence[Sighting]) -> tuple[NDArray[np.int64], Array]:
+    """(P, 2) rows of scans that are compared, and (P, 2) times of the middle of their sweeps, s since the first."""
+    times_s = np.array(
+        [seconds(each.stamp_ns - sightings[0].stamp_ns) + 0.5 * each.scan.times_s.min() for each in sightings]
+    )
+    later = np.searchsorted(times_s, times_s + _APART_S - 1e-6)
+    first = np.flatnonzero(later < len(times_s))
+    apart = times_s[later[first]] - times_s[first]
+    first = first[(apart > 0.0) & (apart < 2.0)]
+    pairs = np.stack([first, later[first]], axis=1)
+    return pairs, times_s[pairs]
+
+
+def _evenly(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most `_PAIRS` of these rows."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(_PAIRS, len(rows))).astype(np.int64))]
+
+
+def _squares(off: Array) -> Array:
+    """Sums of squares along the last axis, each capped; what is not known adds nothing."""
+    return np.asarray(np.nansum(np.minimum(np.abs(off), _CAP_RAD) ** 2, axis=-1))
+
+
+def _unexplained(seen: Array, turns: Array) -> Array:
+    """(L,) squared errors of turns by odometry (L, P) beside those seen (P,); of no turn where these are not known."""
+    return _squares(np.where(np.isnan(turns), seen, wrap_angle(seen - turns)))
+
+
+def _likelier(least: float, other: float, count: int) -> bool:
+    """Whether so many errors with the least sum of squares are likelier than those with another one."""
+    return 0.5 * count * math.log(max(other / least, 1.0)) > _LIKELIER
+
+
+def _sigma(errors: Array, best: int, variance: float) -> float:
+    """Of the delay with the least of errors (L,), by how fast these rise around it; infinite at an end."""
+    wide = min(best, len(errors) - 1 - best, 5)
+    bend = (errors[best - wide] + errors[best + wide] - 2.0 * errors[best]) / (wide * _STEP_S) ** 2
+    return math.sqrt(2.0 * variance / bend) if bend > 0.0 and errors[best] == errors.min() else math.inf
+
+
+def _turns(scans: Sequence[Scan], pairs: NDArray[np.int64], motions: Array) -> Array:
+    """(P,) turns between pairs of scans, rad; NaN where they are not seen.
+
+    The earlier one is drawn from where motions (P, 3) of the robot have the laser later.
+    """
+    mount = scans[0].T_robot_laser.array()
+    moves = between(mount, compose(motions, mount))  # of the laser, in its frame before; its turn is looked for
+    places = zip(pairs[:, 0].tolist(), moves.tolist(), strict=True)
+    before = np.array([_view(scans[k], x, y) for k, (x, y, _) in places])
+    after = np.array([_view(scans[k], 0.0, 0.0) for k in pairs[:, 1].tolist()])
+    shifts = np.arange(-_SHIFTS, _SHIFTS + 1)
+    errors = np.full((len(shifts), len(before)), np.inf)
+    for row, shift in enumerate(shifts.tolist()):
+        off = np.minimum(np.abs(np.roll(before, -shift, axis=1) - after), _MOST_M)
+        count = np.isfinite(off).sum(axis=1)
+        errors[row] = np.where(count >= _FEWEST_BINS, np.nansum(off, axis=1) / np.maximum(count, 1), np.inf)
+    best = np.clip(np.argmin(errors, axis=0), 1, len(shifts) - 2)
+    low, here, high = (errors[best + side, np.arange(len(before))] for side in (-1, 0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bend = low - 2.0 * here + high
+        part = np.where(bend > 1e-9, 0.5 * (low - high) / bend, 0.0)
+    is_seen = np.isfinite(low + high) & (here <= np.minimum(low, high))
+    return np.where(is_seen, (shifts[best] + part) * (2.0 * np.pi / _BINS), np.nan)
+
+
+def _view(scan: Scan, x: float, y: float) -> NDArray[np.float32]:
+    """(_BINS,) range by bearing, m, as seen from a place in the laser's frame; NaN where nothing is seen nearby."""
+    out = np.full(_BINS, np.nan, dtype=np.float32)
+    ahead, aside = scan.points_laser[scan.is_return & (scan.ranges < _FAR_M)].T - np.array([[x], [y]])
+    ranges, bearings = np.hypot(ahead, aside), np.arctan2(aside, ahead)
+    order = np.argsort(-ranges)  # the nearest of a bin is written last
+    out[np.floor(bearings[order] * (_BINS / (2.0 * np.pi))).astype(np.int64) % _BINS] = ranges[order]
+    return out
 
 
 class Mount(NamedTuple):
@@ -235,10 +340,9 @@ def hand_eye(wheels: Array, path: Array, sigmas_m: Array) -> Mount | None:
     """
     if len(wheels) < 8:
         return None
-    c, s, n = np.cos(wheels[:, 2]) - 1.0, np.sin(wheels[:, 2]), len(wheels)
-    rows, right = np.zeros((2 * n, 4)), np.concatenate([path[:, 0], path[:, 1]])
-    rows[:n] = np.stack([c, -s, path[:, 1], wheels[:, 0]], axis=1)
-    rows[n:] = np.stack([s, c, -path[:, 0], wheels[:, 1]], axis=1)
+    turn, by_wheels, by_path = np.exp(1j * wheels[:, 2]) - 1.0, *(each[:, :2] @ (1.0, 1j) for each in (wheels, path))
+    columns = np.stack([turn, 1j * turn, -1j * by_path, by_wheels], axis=1)
+    rows, right = np.concatenate([columns.real, columns.imag]), np.concatenate([by_path.real, by_path.imag])
     spread = np.concatenate([sigmas_m] * 2)
     weights = 1.0 / spread
     for _ in range(10):
@@ -247,32 +351,25 @@ def hand_eye(wheels: Array, path: Array, sigmas_m: Array) -> Mount | None:
         usual = max(1.4826 * float(np.median(off)), 0.05)
         weights = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(off, 1e-9))) / spread
     weighted = rows * weights[:, None]
-    if np.linalg.svd(weighted, compute_uv=False)[-1] < _SIGMAS * usual * math.sqrt(n):
+    if np.linalg.svd(weighted, compute_uv=False)[-1] < _SIGMAS * usual * math.sqrt(len(wheels)):
         return None  # what the noise of the motions alone makes of it
     sigmas = usual * np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
-    offset, scale, is_reversed = np.asarray(values[:3], dtype=np.float64), float(values[3]), False
-    if scale < 0.0:
-        ahead = np.minimum(wheels[:, 0], 0.0).sum() / -np.abs(wheels[:, 0]).sum()
-        is_reversed = bool(ahead > _BACKWARD)
-        if not is_reversed:  # R_X turned by pi changes the sign of x and of the scale
-            offset = np.array([-offset[0], -offset[1], wrap_angle(offset[2] + math.pi)])
+    offset, scale = np.asarray(values[:3], dtype=np.float64), float(values[3])
+    is_reversed = scale < 0.0 and bool(-wheels[:, 0].sum() > _ALONG * np.abs(wheels[:, 0]).sum())
+    if scale < 0.0 and not is_reversed:  # R_X turned by pi changes the sign of x and of the scale
+        offset = np.array([-offset[0], -offset[1], wrap_angle(offset[2] + math.pi)])
     return Mount(offset, sigmas[:3], abs(scale), float(sigmas[3]), is_reversed)
 
 
 def beside_wheels(found: Mount, stated: Pose) -> list[Finding]:
     """What a mount and a scale of wheels, beside the mount that is stated, say of both."""
-    findings, offset = [Finding("wheels_reversed")] * found.is_reversed, found.offset
+    findings = [Finding("wheels_reversed")] * found.is_reversed
     if abs(found.scale - 1.0) > max(_SCALE_OFF, _SIGMAS * found.scale_sigma):
         findings.append(Finding("odometry_scale", found.scale, found.scale_sigma))
-    off = np.abs(offset) > np.maximum(_OFF, _SIGMAS * found.sigmas)
+    off = np.abs(found.offset) > np.maximum(_OFF, _SIGMAS * found.sigmas)
     if off.any():
-        fits = Pose(*np.where(off, offset, 0.0).tolist()) @ stated
-        x, y, turn = np.abs(offset)
-        parts = np.array([
-            f"{x:.2f} m farther {'back' if offset[0] < 0.0 else 'forward'}",
-            f"{y:.2f} m farther {'right' if offset[1] < 0.0 else 'left'}",
-            f"{math.degrees(turn):.0f}° turned {'right' if offset[2] < 0.0 else 'left'}",
-        ])  # fmt: skip
-        place = f"{' and '.join(parts[off])} than its mount is stated"
+        offset = Pose(*np.where(off, found.offset, 0.0).tolist())
+        fits, (x, y, turn) = offset @ stated, offset.array()
+        place = f"{x:+.2f} m ahead, {y:+.2f} m to the left and {math.degrees(turn):+.0f}° turned from its stated mount"
         findings.append(Finding("mount", place=place, vector=(fits.x, fits.y, fits.theta)))
     return findings

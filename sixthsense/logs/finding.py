@@ -25,18 +25,14 @@ KINDS = {
     "clocks": Kind("applied", "turns show {value:.2f} s later in the scans than in the odometry", "time_offset"),
     "field_of_view": Kind("applied", "the turns fit a field of view of {degrees:.1f}°", "laser.fov"),
     "frozen_odometry": Kind("applied", "the odometry never changes, but the scans do", "no_odometry"),
-    "still": Kind("said", "the odometry never changes: the robot is taken to stand, and its first scan is the map"),
     "turned_around": Kind(
         "said",
         "scans turn against the odometry: ranges from right to left, or turns of inverted sign?",
         "laser.mirrored",
     ),
-    "turn_scale": Kind("said", "the odometry turns {value:.2f} times as far as the scans", "laser.fov"),
-    "one_clock": Kind("refused", "scans and odometry that share no time: {place}"),
     # of odometry
     "jump": Kind("said", "odometry jumps {place}, at most by {value:.1f} m: it goes on from where it was"),
-    "gap": Kind("said", "no odometry {place}: {value:.0f} scans are predicted by the last velocity"),
-    "driven_backward": Kind("said", "odometry drives backward for {value:.0%} of its way: is its sign wrong?"),
+    "gap": Kind("said", "no odometry by its stamps {place}: {value:.0f} scans are predicted by the last velocity"),
     "odometry_unit": Kind("refused", "positions of odometry that change by {value:.4g} a second, which are mm or cm"),
     "headings_unit": Kind("refused", "headings of odometry, along which the robot goes only if they are degrees"),
     "headings_inverted": Kind("refused", "headings of odometry, along which the robot goes only with the other sign"),
@@ -53,8 +49,9 @@ KINDS = {
     "assumed_range": Kind("said", "assumed: a laser of {value:.2f} m, {place}", "laser.max_range"),
     # of stamps
     "stamps": Kind("said", "stamps decrease or repeat at {value:.0f} scans: replayed in the order of the file"),
-    "stamps_unit": Kind("said", "stamps are taken as {place} since 1970"),
-    "stamps_of_recording": Kind("said", "stamps of {place}: the times of recording are used"),
+    "stamps_of_recording": Kind(
+        "said", "stamps of headers decrease, repeat or are not set: those of recording are used"
+    ),
     # of the file
     "left_out": Kind("said", "{value:.0f} {place}"),
     "cut_short": Kind("said", "{place}"),
@@ -88,18 +85,14 @@ class Finding:
         return KINDS[self.kind].action
 
     @property
-    def option(self) -> str:
-        """The option that sets it; "" for none."""
-        return KINDS[self.kind].option
-
-    @property
     def text(self) -> str:
         """What was found, without the option."""
         return KINDS[self.kind].text.format(value=self.value, place=self.place, degrees=math.degrees(self.value))
 
     def __str__(self) -> str:
-        if not self.option or f"`{self.option}`" in self.text:
+        option = KINDS[self.kind].option
+        if not option:
             return self.text
         numbers = self.vector or (self.value,) * (self.action == "applied" and not math.isnan(self.value))
-        setting = " ".join([f"`{self.option}`", *(f"{number:.4g}" for number in numbers)])
+        setting = " ".join([f"`{option}`", *(f"{number:.4g}" for number in numbers)])
         return f"{self.text} ({'otherwise set ' * (self.action != 'applied')}{setting})"

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,12 +23,10 @@ _LARGEST_ENTRY = 1e12
 _SLACK = 1e-12
 """tolerance of an eigenvalue for rounding, relative to the largest entry"""
 
-_MOTIONS, _POINTS = (b"ODOMETRY", b"EDGE_SE2"), (b"LANDMARK", b"EDGE_SE2_XY")
-_POLAR = b"BR"
-_INFORMATION = (b"EDGE_SE2", b"EDGE_SE2_XY")
-"""tags whose numbers are an information matrix; those of others are a covariance"""
+_NUMBERS = {b"ODOMETRY": 11, b"EDGE_SE2": 11, b"LANDMARK": 7, b"EDGE_SE2_XY": 7, b"BR": 6}
+"""of the tags that are read, with two ids; in those that begin with EDGE these have an information matrix"""
 _SKIPPED = (b"VERTEX2", b"VERTEX_SE2", b"VERTEX_XY", b"FIX")
-TAGS = (*_MOTIONS, *_POINTS, _POLAR, *_SKIPPED)
+TAGS = (*_NUMBERS, *_SKIPPED)
 
 
 def read_graph(file: str | Path) -> Log:
@@ -60,127 +57,85 @@ def read_graph(file: str | Path) -> Log:
     order of their first appearance.
     """
     path = Path(file)
-    graph = _Graph()
+    ticks: dict[int, Tick] = {}
+    seen: dict[int, dict[LandmarkId, Observation]] = {}
+    others: list[tuple[Record, int, int, Odometry]] = []
+
+    def add(pose: int, odometry: Pose, cov: Array | None = None) -> None:
+        ticks[pose] = Tick(len(ticks) * _STEP_NS, odometry, observations=seen.setdefault(pose, {}), increment_cov=cov)
+
     for record in records(path):
-        tag = record.fields[0]
-        if tag in _MOTIONS:
-            _read_motion(graph, record)
-        elif tag in (*_POINTS, _POLAR):
-            _read_landmark(graph, record)
-        elif tag not in _SKIPPED:
-            record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in TAGS)}")
-    if len(graph.ticks) < 2:
-        raise InputError(path, "found no edge between poses", f"a graph with {b', '.join(_MOTIONS).decode()}")
-    _add_closures(graph)
-    return Log(list(graph.ticks.values()))
-
-
-class _Edge(NamedTuple):
-    """An edge between two poses."""
-
-    record: Record
-    before: int
-    after: int
-    step: Pose
-    """pose `after` seen from `before`"""
-    cov: Array
-    """(3, 3) of its error, axes of `after`"""
-
-
-@dataclass(slots=True)
-class _Graph:
-    """The part of the graph read so far."""
-
-    ticks: dict[int, Tick] = field(default_factory=dict)
-    """of the poses, by id, in order"""
-    seen: dict[int, dict[LandmarkId, Observation]] = field(default_factory=dict)
-    """by pose, as in its tick"""
-    others: list[_Edge] = field(default_factory=list)
-    """edges that do not lead from the newest pose to a new one"""
-
-    def add(self, pose: int, odometry: Pose, cov: Array | None = None) -> None:
-        """Add a pose without observations."""
-        seen = self.seen[pose] = {}
-        self.ticks[pose] = Tick(len(self.ticks) * _STEP_NS, odometry, observations=seen, increment_cov=cov)
-
-
-def _read_motion(graph: _Graph, record: Record) -> None:
-    before, after = _ids(record, 11)
-    step = Pose.from_array(record.numbers(record.fields[3:6], _FARTHEST))
-    cov = _covariance(record, 3, definite=False)
-    if not graph.ticks:
-        graph.add(before, Pose())
-    if after in graph.ticks or before != next(reversed(graph.ticks)):
-        graph.others.append(_Edge(record, before, after, step, cov))
-    else:
-        graph.add(after, graph.ticks[before].odometry @ step, cov)
-
-
-def _add_closures(graph: _Graph) -> None:
-    """Add the edges between poses that are not next to each other to the tick of the later one."""
-    order = {pose: number for number, pose in enumerate(graph.ticks)}
-    found: dict[int, list[Closure]] = {}
-    for record, before, after, step, cov in graph.others:
-        if before not in order or after not in order or before == after:
-            newest = next(reversed(graph.ticks))
-            record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
-        if order[before] < order[after]:
-            found.setdefault(after, []).append(Closure(order[before], step, cov))
+        if (tag := record.fields[0]) in _SKIPPED:
+            continue
+        pose, other = _ids(record)
+        if not ticks:
+            add(pose, Pose())
+        if _NUMBERS[tag] == 11:
+            step = Odometry(Pose.from_array(record.numbers(record.fields[3:6], _FARTHEST)), _covariance(record, 3))
+            if other in ticks or pose != next(reversed(ticks)):
+                others.append((record, pose, other, step))
+            else:
+                add(other, ticks[pose].odometry @ step.motion, step.cov)
+        elif pose not in ticks or other in seen[pose]:
+            record.fail(f"found landmark {other} from pose {pose}, allowed: once from a pose with an earlier edge")
         else:
-            back = Odometry(step, cov).inverse()
-            found.setdefault(before, []).append(Closure(order[after], back.motion, back.cov))
-    for pose, tick in graph.ticks.items() if found else ():
-        graph.ticks[pose] = replace(tick, closures=tuple(found.get(pose, ())))
+            seen[pose][other] = _observation(record)
+    if len(ticks) < 2:
+        raise InputError(path, "found no edge between poses", "a graph with ODOMETRY, EDGE_SE2")
+    _add_closures(ticks, others)
+    return Log(list(ticks.values()))
 
 
-def _read_landmark(graph: _Graph, record: Record) -> None:
-    is_polar = record.fields[0] == _POLAR
-    pose, landmark = _ids(record, 6 if is_polar else 7)
-    if not graph.ticks:
-        graph.add(pose, Pose())
-    if pose not in graph.ticks:
-        record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
-    if landmark in graph.seen[pose]:
-        record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
-    if not is_polar:
-        place, cov = record.numbers(record.fields[3:5], _FARTHEST), _covariance(record, 2, definite=True)
-        graph.seen[pose][landmark] = Observation(Kind.CORNER, place, cov)
-        return
+def _add_closures(ticks: dict[int, Tick], others: list[tuple[Record, int, int, Odometry]]) -> None:
+    """Add the edges between poses that are not next to each other to the tick of the later one."""
+    order = {pose: number for number, pose in enumerate(ticks)}
+    found: dict[int, list[Closure]] = {pose: [] for pose in ticks}
+    for record, before, after, step in others:
+        if before not in order or after not in order or before == after:
+            newest = next(reversed(ticks))
+            record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
+        if order[before] > order[after]:
+            before, after, step = after, before, step.inverse()
+        found[after].append(Closure(order[before], step.motion, step.cov))
+    for pose, tick in ticks.items() if others else ():
+        ticks[pose] = replace(tick, closures=tuple(found[pose]))
+
+
+def _observation(record: Record) -> Observation:
+    """The landmark of a line, seen from its pose."""
+    if record.fields[0] != b"BR":
+        return Observation(Kind.CORNER, record.numbers(record.fields[3:5], _FARTHEST), _covariance(record, 2))
     bearing, distance, *sigmas = record.numbers(record.fields[3:], _FARTHEST).tolist()
     if min(distance, *sigmas) < _SMALLEST:
         record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
-    graph.seen[pose][landmark] = polar_observation(distance, bearing, (sigmas[1] ** 2, sigmas[0] ** 2))
+    return polar_observation(distance, bearing, (sigmas[1] ** 2, sigmas[0] ** 2))
 
 
-def _ids(record: Record, count: int) -> tuple[int, int]:
-    """The first two of so many numbers: ids; the symbols of GTSAM have a letter in the highest of 8 bytes."""
-    if len(record.fields) != count + 1:
-        tag = record.fields[0].decode()
-        record.fail(f"found {tag} with {len(record.fields) - 1} numbers, allowed: {count}")
-    for text in record.fields[1:3]:
-        if re.fullmatch(rb"[a-zA-Z]\d+", text) or (text.isdigit() and len(text) <= 20 and int(text) >> 56):
-            record.fail(
-                f"found {shown(text)}, a symbol of GTSAM, allowed: whole numbers, as of poses renumbered from 0"
-            )
+def _ids(record: Record) -> tuple[int, int]:
+    """The two ids of a line; the symbols of GTSAM have a letter in the highest of 8 bytes."""
+    tag, *fields = record.fields
+    if tag not in _NUMBERS:
+        record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in TAGS)}")
+    if len(fields) != _NUMBERS[tag]:
+        record.fail(f"found {tag.decode()} with {len(fields)} numbers, allowed: {_NUMBERS[tag]}")
+    for text in fields[:2]:
+        if re.fullmatch(rb"[a-zA-Z]\d+|\d{17,20}", text):
+            record.fail(f"found {shown(text)}, a symbol of GTSAM, allowed: whole numbers, of poses renumbered from 0")
     return record.whole(1, "id"), record.whole(2, "id")
 
 
-def _covariance(record: Record, size: int, definite: bool) -> Array:
+def _covariance(record: Record, size: int) -> Array:
     """(size, size) covariance from the upper triangle at the end of a line.
 
-    All its eigenvalues are positive if `definite`, as those of an information matrix must be.
+    Its eigenvalues are positive if it is of a landmark or the inverse of an information matrix, else at least 0.
     """
     rows, columns = np.triu_indices(size)
-    values = record.numbers(record.fields[-len(rows) :])
     matrix = np.zeros((size, size))
-    matrix[rows, columns] = matrix[columns, rows] = values
-    is_information = record.fields[0] in _INFORMATION
-    definite = definite or is_information
-    largest = float(np.abs(matrix).max())
-    fits = 1.0 / _LARGEST_ENTRY <= largest <= _LARGEST_ENTRY if definite else largest <= _LARGEST_ENTRY
-    if not fits or np.linalg.eigvalsh(matrix)[0] < (_SLACK if definite else -_SLACK) * largest:
+    matrix[rows, columns] = matrix[columns, rows] = record.numbers(record.fields[-len(rows) :], _LARGEST_ENTRY)
+    is_information = record.fields[0].startswith(b"EDGE")
+    slack = _SLACK * max(float(np.abs(matrix).max()), _SLACK)
+    if np.linalg.eigvalsh(matrix)[0] < (slack if is_information or size == 2 else -slack):
         kind = "an information matrix" if is_information else "a covariance"
-        bounds = f"eigenvalues {'above' if definite else 'at least'} 0, entries up to {_LARGEST_ENTRY:g}"
-        record.fail(f"found {values.tolist()}, allowed: {kind} with {bounds}")
+        record.fail(f"found {matrix[rows, columns].tolist()}, allowed: {kind}, which is positive definite")
     inverse = np.linalg.inv(matrix) if is_information else matrix
     return np.asarray(0.5 * (inverse + inverse.T))

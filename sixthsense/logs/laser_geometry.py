@@ -12,22 +12,23 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import between
 
 FARTHEST_M, MOST_BEAMS = 1000.0, 100_000
 """maximum range and number of beams of a laser that a configuration allows"""
-_MOUNT_SPREAD_M, _MOUNT_SPREAD_RAD = 0.01, math.radians(0.5)
-"""Rounding of poses to two decimals gives less; poses that were corrected by a scan matcher differ by more."""
-_MOUNT_LARGEST_M = 10.0
-_SPREAD_PERCENTILE = 95.0
-
-_CODES_FROM = 0.998
-"""Share of the greatest reading from which readings are codes: a SICK LMS 200 has 8183 to 8191."""
-_BELOW_CODES = 0.9
-"""Share of the greatest reading from which readings are compared with the codes."""
+_ONE_BODY = (0.01, 0.01, math.radians(0.5))
+"""m, rad: rounding of poses to two decimals gives less; poses that were corrected by a scan matcher differ by more"""
+_LARGEST_M = 10.0  # of a mount
+_CODES_FROM, _BELOW = 0.998, 0.9
+"""shares of the greatest reading from which readings are codes (8183 to 8191 of a SICK LMS 200), and compared with
+them"""
 _CODE_RATIO = 10
-"""A code is this many times as frequent as any reading below it."""
-_CODE_SCANS, _CODE_BEAMS = 10, 5
-"""Fewest scans and beams with a code: a wall that a standing robot sees repeats in few beams."""
+"""A code is this many times as frequent as any reading below it, and in as many scans or more."""
+_CODE_BEAMS = 5
+"""fewest beams with a code: a wall that a standing robot sees repeats in few beams"""
+_FIELDS = tuple(math.radians(degrees) for degrees in (240.0, 270.0, 360.0))
+"""fields of view of lasers in use, beside half a turn"""
+_FINE_STEP = 2.0 * math.pi / 1024.0  # rad between beams of a Hokuyo URG
 
 
 class Beams(NamedTuple):
@@ -37,11 +38,6 @@ class Beams(NamedTuple):
     """bearing of the first beam in the laser's frame, rad"""
     step: float
     """between two beams, rad"""
-
-
-_FIELDS = tuple(math.radians(degrees) for degrees in (240.0, 270.0, 360.0))
-"""of lasers in use, beside half a turn"""
-_FINE_STEP = 2.0 * math.pi / 1024.0  # rad between beams of a Hokuyo URG
 
 
 def beams_by_count(count: int) -> tuple[Beams, ...]:
@@ -61,15 +57,9 @@ def beams_over(fov: float, count: int) -> Beams:
     return Beams(-fov / 2.0, fov / (count if full else count - 1))
 
 
-def beams_as_stated(count: int, start: float, fov: float, resolution: float) -> Beams:
-    """The beams of a ROBOTLASER1 line, rad; the field of view decides where the resolution contradicts it."""
-    agrees = resolution > 0.0 and abs(resolution * (count - 1) - fov) <= 1.5 * resolution
-    return Beams(start, resolution if agrees else beams_over(fov, count).step)
-
-
-def with_beams(scan: Scan, first: float, step: float) -> Scan:
-    """The scan with beams that begin at a bearing, and are a step apart, rad."""
-    return replace(scan, angle_min=np.float32(first), angle_increment=np.float32(step))
+def with_beams(scan: Scan, beams: Beams) -> Scan:
+    """The scan with these beams."""
+    return replace(scan, angle_min=np.float32(beams.first), angle_increment=np.float32(beams.step))
 
 
 def mount_from_poses(laser: Array, robot: Array) -> Pose | None:
@@ -77,15 +67,11 @@ def mount_from_poses(laser: Array, robot: Array) -> Pose | None:
 
     None if the two do not move as one body: then the laser's pose is not odometry, but corrected by a scan matcher.
     """
-    dx, dy = (laser[:, :2] - robot[:, :2]).T
-    c, s = np.cos(robot[:, 2]), np.sin(robot[:, 2])
-    x, y = c * dx + s * dy, c * dy - s * dx
-    turn = wrap_angle(laser[:, 2] - robot[:, 2])
-    turn = turn[0] + wrap_angle(turn - turn[0])  # a laser that looks back has turns of both signs
-    place = np.array([np.median(x), np.median(y), np.median(turn)])
-    spread_m = np.percentile(np.hypot(x - place[0], y - place[1]), _SPREAD_PERCENTILE)
-    spread_rad = np.percentile(np.abs(turn - place[2]), _SPREAD_PERCENTILE)
-    if spread_m > _MOUNT_SPREAD_M or spread_rad > _MOUNT_SPREAD_RAD or np.hypot(*place[:2]) > _MOUNT_LARGEST_M:
+    mounts = between(robot, laser)
+    mounts[:, 2] = mounts[0, 2] + wrap_angle(mounts[:, 2] - mounts[0, 2])  # one that looks back has turns of both signs
+    place = np.median(mounts, axis=0)
+    spread = np.percentile(np.abs(mounts - place), 95, axis=0)
+    if (spread > _ONE_BODY).any() or np.hypot(*place[:2]) > _LARGEST_M:
         return None
     return Pose(*place.round(6))  # the decimals that CARMEN writes
 
@@ -97,23 +83,20 @@ def no_return_code(scans: Sequence[NDArray[np.float32]]) -> float | None:
     many scans and beams, with next to nothing below it; a wall does not.
     """
     top = greatest_range(scans)
-    if top <= 0.0:
-        return None
     code_from = np.float32(math.floor(_CODES_FROM * top * 100.0) / 100.0)
-    near = [scan[(scan >= np.float32(_BELOW_CODES * top)) & np.isfinite(scan)] for scan in scans]
     beams = [found for scan in scans if len(found := np.flatnonzero((scan >= code_from) & np.isfinite(scan)))]
-    if len(beams) < _CODE_SCANS or len(np.unique(np.concatenate(beams))) < _CODE_BEAMS:
+    if top <= 0.0 or len(beams) < _CODE_RATIO or len(np.unique(np.concatenate(beams))) < _CODE_BEAMS:
         return None
+    near = [scan[(scan >= np.float32(_BELOW * top)) & np.isfinite(scan)] for scan in scans]
     values, counts = np.unique(np.concatenate(near), return_counts=True)
-    is_code = values >= code_from
-    return float(code_from) if counts[is_code].max() >= _CODE_RATIO * counts[~is_code].max(initial=1) else None
+    most, below = counts[values >= code_from].max(), counts[values < code_from].max(initial=1)
+    return float(code_from) if most >= _CODE_RATIO * below else None
 
 
 def max_range_of(scans: Sequence[NDArray[np.float32]]) -> float:
     """The maximum range, m, of a laser that does not state it: its code for no return, else above all its ranges."""
-    code = no_return_code(scans)
-    above = np.nextafter(np.float32(greatest_range(scans)), np.float32(np.inf))
-    return min(float(above) if code is None else code, FARTHEST_M)
+    above = float(np.nextafter(np.float32(greatest_range(scans)), np.float32(np.inf)))
+    return min(no_return_code(scans) or above, FARTHEST_M)
 
 
 def greatest_range(scans: Sequence[NDArray[np.float32]]) -> float:

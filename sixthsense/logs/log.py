@@ -1,48 +1,152 @@
-"""A recorded log: its ticks, what its reader has found, and hand-checked relations between its scans."""
+"""Recorded logs: scans and odometry joined to ticks, what a reader has found, and relations checked by hand."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import between, compose
 from sixthsense.core.source import Command, Source, Tick, seconds
 from sixthsense.logs.finding import Finding
-from sixthsense.logs.joining import Odometry, Sighting, joined
-from sixthsense.logs.laser_geometry import with_beams
+from sixthsense.logs.laser_geometry import Beams
+from sixthsense.logs.stamps import ascending, passed_s
 from sixthsense.logs.text_lines import read_table
 
+Stamps = NDArray[np.int64]
 
+GAP_S = 0.5
+"""No pose is interpolated in a longer gap of odometry."""
+JOLT_M, JOLT_RAD = 0.5, 0.5
+"""by which odometry may move at any moment, beside what the robot's speed allows"""
+_FASTEST = 5.0  # m/s and rad/s of a robot on wheels in a building
+
+
+class Sighting(NamedTuple):
+    """A scan with its stamps."""
+
+    stamp_ns: int
+    """of its last beam"""
+    scan: Scan
+    own_s: float
+    """stamp that relations refer to: of its header, seconds"""
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Poses by the wheels, in order."""
+
+    stamps_ns: Stamps
+    """(M,) ascending"""
+    poses: Array
+    """(M, 3) `T_odom_robot`"""
+
+    @property
+    def usual_s(self) -> float:
+        """Usual time between two poses, s; 0 where no stamp tells any."""
+        usual_s = float(np.median(passed_s(self.stamps_ns))) if len(self.poses) > 1 else 0.0
+        return usual_s if np.isfinite(usual_s) else 0.0
+
+    def jumps(self) -> NDArray[np.int64]:
+        """Rows of the poses that no robot on wheels reaches from the one before in the time that has passed.
+
+        Its driver was started again, or the poses are of a map that was corrected. Where stamps tell no time, no motion
+        is a jump.
+        """
+        passed, steps = passed_s(self.stamps_ns), np.diff(self.poses, axis=0)
+        moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
+        passed[1:] += np.where(steps[:-1].any(axis=1), 0.0, passed[:-1])  # a record may repeat an old pose, late
+        is_jump = (moved_m > _FASTEST * passed + JOLT_M) | (turned > _FASTEST * passed + JOLT_RAD)
+        return np.asarray(np.flatnonzero(is_jump) + 1)
+
+
+def pose_at(odometry: Odometry, at_ns: Stamps, longest_s: float = GAP_S) -> Array:
+    """(K, 3) `T_odom_robot` at stamps (K,), interpolated as a share of the motion between two poses; NaN where unknown.
+
+    It is unknown a usual period before the first pose and after the last, and in a gap that is longer than `longest_s`,
+    unless the robot has stood in it.
+    """
+    stamps, poses = odometry.stamps_ns, odometry.poses
+    usual_ns = 1e9 * odometry.usual_s
+    row = np.clip(np.searchsorted(stamps, at_ns, side="right") - 1, 0, max(len(stamps) - 2, 0))
+    after = np.minimum(row + 1, len(stamps) - 1)
+    gap_ns = np.maximum(stamps[after] - stamps[row], 1)
+    share = np.clip((at_ns - stamps[row]) / gap_ns, 0.0, 1.0)
+    motion = between(poses[row], poses[after])
+    out = np.where((share == 1.0)[:, None], poses[after], compose(poses[row], share[:, None] * motion))
+    out[share == 0.0] = poses[row[share == 0.0]]
+    is_far = (gap_ns > 1e9 * longest_s) & motion.any(axis=1) & (share > 0.0) & (share < 1.0)
+    out[is_far | (stamps[0] - at_ns > usual_ns) | (at_ns - stamps[-1] > usual_ns)] = np.nan
+    return np.asarray(out)
+
+
+def joined(sightings: Sequence[Sighting], odometry: Odometry | None) -> list[Tick]:
+    """One tick per scan and per pose, and one for both with the same stamp; at least 1 ns apart, none before 0.
+
+    The odometry of a scan is interpolated at its stamp. Scans before and after all odometry, and in a gap of it, keep
+    the pose of the tick before, and odometry after them goes on from there; so it does after a jump. Without odometry
+    the robot stands at the first scan.
+    """
+    seen_ns = np.array([each.stamp_ns for each in sightings], dtype=np.int64)
+    unique_ns, firsts = np.unique(seen_ns, return_index=True)
+    odometry = odometry or Odometry(unique_ns, np.zeros((len(unique_ns), 3)))
+    odometry = replace(odometry, poses=_going_on(odometry.poses, odometry.jumps()))
+    at_scans = pose_at(odometry, seen_ns, max(GAP_S, 3.0 * odometry.usual_s))
+    rows = np.searchsorted(odometry.stamps_ns, seen_ns, side="right") - 1
+    same = (rows >= 0) & (odometry.stamps_ns[rows] == seen_ns)
+    same &= np.isin(np.arange(len(seen_ns)), firsts)  # of scans with one stamp the first has the tick of the pose
+    of_scan = np.full(len(odometry.stamps_ns), -1)
+    of_scan[rows[same]] = np.flatnonzero(same)
+    stamps_ns = np.concatenate([odometry.stamps_ns, seen_ns[~same]])
+    order = np.argsort(stamps_ns, kind="stable")
+    poses = np.concatenate([odometry.poses, at_scans[~same]])[order]
+    numbers = np.concatenate([of_scan, np.flatnonzero(~same)])[order]
+    is_known = np.isfinite(poses[:, 0])
+    is_alone = ~(is_known & np.append(True, is_known[:-1]))
+    last = np.maximum.accumulate(np.where(is_known, np.arange(len(poses)), np.argmax(is_known)))
+    poses = _going_on(poses[last], np.flatnonzero(is_known & is_alone))
+    stamps_ns = ascending(stamps_ns[order] - min(stamps_ns.min(), 0))
+    ticks = []
+    for ns, pose, k, alone in zip(stamps_ns.tolist(), poses, numbers.tolist(), is_alone.tolist(), strict=True):
+        scan, own_s = (sightings[k].scan, sightings[k].own_s) if k >= 0 else (None, None)
+        ticks.append(Tick(ns, Pose.from_array(pose), scan, log_stamp_s=own_s, is_unmeasured=alone))
+    return ticks
+
+
+def _going_on(poses: Array, rows: NDArray[np.int64]) -> Array:
+    """Poses (N, 3) that go on from the row before at each of these rows; scans tell what the robot did meanwhile."""
+    for row in rows.tolist():
+        before, after = (Pose.from_array(poses[k]) for k in (row - 1, row))
+        poses = np.concatenate([poses[:row], compose((before @ after.inverse()).array(), poses[row:])])
+    return poses
+
+
+@dataclass(frozen=True)
 class Log:
     """A recorded log: its ticks in the order of the file."""
 
-    ticks: tuple[Tick, ...]
-    """All ticks."""
-    scans: tuple[Scan, ...]
-    """All scans, in the order of the ticks."""
-    laser: LaserConfig | None
+    ticks: Sequence[Tick]
+    """All ticks, at least one, with ascending `stamp_ns`."""
+    laser: LaserConfig | None = None
     """The laser as the log describes it; None where it does not."""
-    found: tuple[Finding, ...]
+    found: Sequence[Finding] = ()
     """What its reader has found."""
-    sightings: tuple[Sighting, ...]
+    sightings: Sequence[Sighting] = ()
     """The scans with their own stamps, of a log whose scans and odometry were joined."""
-    odometry: Odometry | None
+    odometry: Odometry | None = None
     """The odometry with its own stamps, of such a log; None without any."""
-    candidates: tuple[tuple[float, float], ...]
-    """The bearing of the first beam and the angle between two, rad, that its scans may have, if nothing states it."""
-
-    def __init__(self, ticks: Sequence[Tick], laser: LaserConfig | None = None, found: Sequence[Finding] = ()) -> None:
-        """Make a log of at least one tick, with ascending `stamp_ns`."""
-        self.ticks, self.laser, self.found = tuple(ticks), laser, tuple(found)
-        self.scans = tuple(tick.scan for tick in self.ticks if tick.scan is not None)
-        self.sightings, self.odometry, self.candidates = (), None, ()
+    candidates: Sequence[Beams] = ()
+    """The beams that its scans may have, if nothing states them."""
 
     @classmethod
     def of(
@@ -51,35 +155,27 @@ class Log:
         odometry: Odometry | None,
         laser: LaserConfig,
         found: Sequence[Finding] = (),
-        candidates: Sequence[tuple[float, float]] = (),
+        candidates: Sequence[Beams] = (),
     ) -> Log:
         """Join scans with odometry; `laser` has what scans do not say, `candidates` the beams that they may have."""
-        log = cls(joined(sightings, odometry), described_laser([each.scan for each in sightings], laser), found)
-        log.candidates = tuple(candidates)
-        log.sightings, log.odometry = tuple(sightings), odometry
-        return log
+        laser = described_laser([each.scan for each in sightings], laser)
+        return cls(joined(sightings, odometry), laser, found, sightings, odometry, candidates)
 
-    def _with(self, sightings: Sequence[Sighting], odometry: Odometry | None) -> Log:
+    def anew(self, sightings: Sequence[Sighting], odometry: Odometry | None) -> Log:
         """The log of other scans or odometry; itself if they were not joined."""
-        if self.laser is None or not self.sightings:
-            return self
-        return Log.of(sightings, odometry, self.laser, self.found, self.candidates)
+        return self if self.laser is None else Log.of(sightings, odometry, self.laser, self.found, self.candidates)
 
     def later(self, time_offset_s: float) -> Log:
         """The log with its odometry so much later, s; itself for one whose scans and odometry were not joined."""
         if self.odometry is None or not time_offset_s:
             return self
-        return self._with(self.sightings, self.odometry.later(time_offset_s))
+        stamps_ns = self.odometry.stamps_ns + round(1e9 * time_offset_s)
+        return self.anew(self.sightings, replace(self.odometry, stamps_ns=stamps_ns))
 
-    def without_odometry(self) -> Log:
-        """The log with its scans alone."""
-        return self._with(self.sightings, None)
-
-    def with_beams(self, first: float, step: float) -> Log:
-        """The log with scans whose beams begin at a bearing, and are a step apart, rad."""
-        return self._with(
-            [each._replace(scan=with_beams(each.scan, first, step)) for each in self.sightings], self.odometry
-        )
+    @functools.cached_property
+    def scans(self) -> tuple[Scan, ...]:
+        """All scans, in the order of the ticks."""
+        return tuple(tick.scan for tick in self.ticks if tick.scan is not None)
 
     @property
     def has_odometry(self) -> bool:
@@ -103,8 +199,7 @@ def described_laser(scans: Sequence[Scan], laser: LaserConfig) -> LaserConfig:
     (count, step, reach), _ = kinds.most_common(1)[0]
     is_closed = abs(step * count - 2.0 * math.pi) < 0.5 * step
     fov = 2.0 * math.pi if is_closed else min(step * (count - 1), 2.0 * math.pi)
-    mount = scans[0].T_robot_laser
-    return laser.replaced(beams=count, fov=fov, max_range=reach, mount=(mount.x, mount.y, mount.theta))
+    return laser.replaced(beams=count, fov=fov, max_range=reach, mount=tuple(scans[0].T_robot_laser.array().tolist()))
 
 
 class Playback:

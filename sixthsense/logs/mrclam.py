@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,7 @@ from sixthsense.core.landmarks import LandmarkId, Observation, polar_observation
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
 from sixthsense.logs.finding import Finding
-from sixthsense.logs.joining import Odometry, pose_at
-from sixthsense.logs.log import Log
+from sixthsense.logs.log import Log, Odometry, pose_at
 from sixthsense.logs.stamps import ascending
 from sixthsense.logs.text_lines import Table, read_table
 
@@ -48,19 +46,35 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
     bearing: compared with Vicon it is 12 % short at 0.55 rad and correct ahead, as (cos bearing)^0.94 (set 6, robot 3).
     Raises InputError, naming file and line, for anything else.
     """
-    path = Path(folder)
-    robot = _chosen(path, robot)
-    for name, sigma in (("range_m", assumed.laser.range_m), ("bearing_rad", assumed.laser.bearing_rad)):
-        if sigma <= 0.0:
-            raise InputError(path, f"found assumed.laser.{name} {sigma:g}", "above 0 for ranges and bearings")
+    path, laser = Path(folder), assumed.laser
+    names = sorted({int(match[1]) for file in path.iterdir() if (match := _NAME.fullmatch(file.name))})
+    if robot not in names and (robot is not None or len(names) != 1):
+        raise InputError(
+            path, f"found odometry of robots {names}", "a MRCLAM folder, and one of its robots by `robot` N"
+        )
+    of_robot = f"Robot{names[0] if robot is None else robot}"
+    if min(laser.range_m, laser.bearing_rad) <= 0.0:
+        low = f"found assumed.laser.range_m {laser.range_m:g} and bearing_rad {laser.bearing_rad:g}"
+        raise InputError(path, low, "above 0 for ranges and bearings")
     barcodes = _read(path, "Barcodes.dat", "subject barcode").records
     subjects = {record.whole(1, "barcode"): record.whole(0, "subject") for record in barcodes}
-    drive = _read(path, f"Robot{robot}_Odometry.dat", "stamp speed turn-rate")
-    measured = _read(path, f"Robot{robot}_Measurement.dat", "stamp barcode range bearing")
-    seen, misread = _observations(measured, subjects, assumed)
+    drive = _read(path, f"{of_robot}_Odometry.dat", "stamp speed turn-rate")
+    measured = _read(path, f"{of_robot}_Measurement.dat", "stamp barcode range bearing")
+    variances = variance(laser.distribution, laser.range_m), variance(laser.distribution, laser.bearing_rad)
+    seen: dict[int, dict[LandmarkId, Observation]] = {}
+    misread = 0
+    for stamp, (_, barcode, depth, bearing) in zip(
+        measured.stamps_ns().tolist(), measured.numbers.tolist(), strict=True
+    ):
+        subject = subjects.get(int(barcode))
+        if subject is None or depth <= 0.0 or abs(bearing) > _WIDEST_RAD:
+            misread += 1
+        elif subject not in _ROBOTS:
+            found = polar_observation(depth / math.cos(bearing), bearing, variances, assumed.landmark_floor_m)
+            seen.setdefault(stamp, {})[subject] = found
     truth = None
-    if _existing(path, f"Robot{robot}_Groundtruth.dat"):
-        vicon = _read(path, f"Robot{robot}_Groundtruth.dat", "stamp x y orientation")
+    if _file(path, f"{of_robot}_Groundtruth.dat"):
+        vicon = _read(path, f"{of_robot}_Groundtruth.dat", "stamp x y orientation")
         truth = Odometry(ascending(vicon.stamps_ns()), vicon.numbers[:, 1:])
     ticks = _ticks(drive, seen, truth)
     if not ticks:
@@ -69,68 +83,39 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
     return Log(ticks, found=[unread] * (misread > 0))
 
 
-def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: Odometry | None) -> list[Tick]:
-    stamps_ns = (drive.stamps_ns() + _DELAY_NS).tolist()
-    rates = dict(zip(stamps_ns, drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
+def _ticks(drive: Table, seen: dict[int, dict[LandmarkId, Observation]], truth: Odometry | None) -> list[Tick]:
+    # the last record of each stamp
+    rates = dict(zip((drive.stamps_ns() + _DELAY_NS).tolist(), drive.numbers[:, 1:].tolist(), strict=True))
     first, last = min(rates), max(rates)
     if truth is not None:
         first, last = max(first, int(truth.stamps_ns[0])), min(last, int(truth.stamps_ns[-1]))
     stamps = [stamp for stamp in sorted({*rates, *seen}) if first <= stamp <= last]
-    if not stamps:
-        return []
     truths: list[Pose | None] = [None] * len(stamps)
-    if truth is not None:
+    if truth is not None and stamps:
         truths = [Pose.from_array(row) for row in pose_at(truth, np.array(stamps, dtype=np.int64), math.inf)]
-    pose, before = truths[0] or Pose(), stamps[0]
-    speed, turn_rate = rates[max(stamp for stamp in rates if stamp <= before)]
-    ticks = []
+    ticks: list[Tick] = []
+    speed, turn_rate = rates[max(stamp for stamp in rates if stamp <= first)]
     for stamp, true in zip(stamps, truths, strict=True):
-        pose = rk4(pose, speed, turn_rate, 1e-9 * (stamp - before))
-        before = stamp
+        pose = (
+            rk4(ticks[-1].odometry, speed, turn_rate, 1e-9 * (stamp - ticks[-1].stamp_ns)) if ticks else true or Pose()
+        )
         speed, turn_rate = rates.get(stamp, (speed, turn_rate))
         ticks.append(Tick(stamp, pose, observations=seen.get(stamp, {}), truth=true))
     return ticks
 
 
-def _observations(
-    table: Table, subjects: Mapping[int, int], assumed: AssumedConfig
-) -> tuple[dict[int, dict[LandmarkId, Observation]], int]:
-    """Observations of landmarks by stamp (ns), and the number of measurements that are skipped."""
-    laser, misread = assumed.laser, 0
-    variances = variance(laser.distribution, laser.range_m), variance(laser.distribution, laser.bearing_rad)
-    seen: dict[int, dict[LandmarkId, Observation]] = {}
-    for stamp, (_, barcode, depth, bearing) in zip(table.stamps_ns().tolist(), table.numbers.tolist(), strict=True):
-        subject = subjects.get(int(barcode))
-        if subject is None or depth <= 0.0 or abs(bearing) > _WIDEST_RAD:
-            misread += 1
-        elif subject not in _ROBOTS:
-            found = polar_observation(depth / math.cos(bearing), bearing, variances, assumed.landmark_floor_m)
-            seen.setdefault(stamp, {})[subject] = found
-    return seen, misread
-
-
 def true_landmarks(folder: Path) -> dict[LandmarkId, Array]:
     """True positions (2,) of the landmarks, world frame, metres; none if the folder has none. For evaluation only."""
-    if not _existing(folder, "Landmark_Groundtruth.dat"):
+    if not _file(folder, "Landmark_Groundtruth.dat"):
         return {}
-    table = _read(folder, "Landmark_Groundtruth.dat", "subject x y sigma-x sigma-y")
-    return {int(subject): place for subject, place in zip(table.numbers[:, 0], table.numbers[:, 1:3], strict=True)}
+    table = _read(folder, "Landmark_Groundtruth.dat", "subject x y sigma-x sigma-y").numbers
+    return {int(subject): place for subject, place in zip(table[:, 0], table[:, 1:3], strict=True)}
 
 
-def _chosen(folder: Path, robot: int | None) -> int:
-    found = sorted({int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))})
-    if not found:
-        raise InputError(folder, "found no RobotN_Odometry.dat", "a MRCLAM folder, files plain or .gz")
-    if robot not in found and (robot is not None or len(found) > 1):
-        raise InputError(folder, f"found robots {', '.join(map(str, found))}", "one, by `robot` N")
-    return found[0] if robot is None else robot
-
-
-def _existing(folder: Path, name: str) -> Path | None:
-    return next((file for file in (folder / name, folder / f"{name}.gz") if file.is_file()), None)
+def _file(folder: Path, name: str) -> Path | None:
+    """The file of this name, plain or compressed."""
+    return next(folder.glob(f"{name}*"), None)
 
 
 def _read(folder: Path, name: str, columns: str) -> Table:
-    if (file := _existing(folder, name)) is None:
-        raise InputError(folder, f"found no {name}", "a MRCLAM folder with it, plain or .gz")
-    return read_table(file, columns)
+    return read_table(_file(folder, name) or folder / name, columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,32 +13,42 @@ from sixthsense.config import Config, load_config, merge
 from sixthsense.config.errors import InputError
 from sixthsense.config.files import absolute
 from sixthsense.config.parts import OF_THE_ROBOT
-from sixthsense.logs import kind_of
+from sixthsense.logs import kind_of, open_log
+from sixthsense.logs.diagnose import settled
+from sixthsense.logs.log import Log, Relations, read_relations
+from sixthsense.logs.stamps import matched
 from sixthsense.simulation.scene import Scene, load_scene
-
-if TYPE_CHECKING:
-    from sixthsense.logs.log import Log, Relations
-
 
 _LEAST_PERIOD_NS = 1000.0  # of scans: no laser is as fast
 _ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
 
-_KINDS = "carmen bag run graph mrclam"
-_TAKEN: dict[str, str] = {
-    "topics": "bag",
-    "odometry_frames": "bag",
-    "robot": "mrclam",
-    "robot.radius": _KINDS,
-    "preset": "carmen bag graph mrclam",
-    "laser": "carmen",
-    "laser.mount": "carmen bag run",
-    "laser.mirrored": "carmen bag",
-    "assumed": "carmen bag run mrclam",
-    **dict.fromkeys(("no_odometry", "keyframes", "features", "grid"), "carmen bag run"),
+_OF_SCANS = "robot.radius assumed no_odometry keyframes features grid"
+_TAKEN = {
+    "carmen": f"{_OF_SCANS} preset laser laser.mirrored",
+    "bag": f"{_OF_SCANS} preset topics odometry_frames laser.mount laser.mirrored",
+    "run": f"{_OF_SCANS} laser.mount",
+    "graph": "preset robot.radius",
+    "mrclam": "preset robot robot.radius assumed",
 }
-"""kinds of logs on which an option, or the fields of a section, apply; any other applies on all"""
+"""options, and sections of fields, that apply only on some kinds of logs, by kind; any other applies on all"""
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
 """note of a log, and line of a live run"""
+
+
+class LogSelection(NamedTuple):
+    """What is chosen of a log of several sensors or robots."""
+
+    topics: Sequence[str] = ()
+    """of a bag"""
+    robot: int | None = None
+    """of an MRCLAM folder"""
+    odometry_frames: Sequence[str] = ()
+    """parent and child of a bag's odometry in /tf"""
+
+    def given(self) -> dict[str, str]:
+        """What is chosen, as text by option."""
+        values = {name: value for name, value in self._asdict().items() if value or value == 0}
+        return {name: str(value) if name == "robot" else ",".join(value) for name, value in values.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +64,7 @@ class ReplayInput:
     relations: Relations | None
     """reference for the trajectory"""
     files: Mapping[str, str]
-    """inputs by role: `log`, and if given `relations`, `topic`, `odometry_frames` and `robot`"""
+    """inputs by role: `log`, and if given `relations`, `topics`, `odometry_frames` and `robot`"""
     notes: tuple[str, ...]
     """one-line notes on the log for the user"""
 
@@ -71,37 +81,23 @@ def recorded_scene(log: Log, config: Config) -> Scene | None:
 
 def base_of(log: str | Path | None) -> str | Config:
     """The base configuration for a log: that of the run folder, else the preset of its kind."""
-    if log is None:
-        return "log"
-    kind = kind_of(Path(log))
-    if kind == "run":
+    kind = "" if log is None else kind_of(Path(log))
+    if log is not None and kind == "run":
         return load_config(Path(log) / "config.toml")
     return {"graph": "victoria", "mrclam": "mrclam"}.get(kind, "log")
 
 
-class LogSelection(NamedTuple):
-    """What is chosen of a log of several sensors or robots."""
-
-    topics: Sequence[str] = ()
-    """of a bag"""
-    robot: int | None = None
-    """of an MRCLAM folder"""
-    odometry_frames: Sequence[str] = ()
-    """parent and child of a bag's odometry in /tf"""
-
-
 def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: LogSelection) -> None:
     """Raise InputError for given fields (nested) and options that do not apply to this kind of log."""
-    robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
-    for name in (*OF_THE_ROBOT, *sorted(robot)):
-        if name in fields or name in robot:
-            raise InputError(name, "found on replay", "options of the estimate, not of the recorded robot")
-    kind = "" if log is None else kind_of(Path(log))
-    given = [name for name, value in chosen._asdict().items() if value or value == 0]
+    given = list(chosen.given())
     for name, value in fields.items():
         given += [f"{name}.{part}" for part in value] if isinstance(value, Mapping) else [name] * bool(value)
+    kind = "" if log is None else kind_of(Path(log))
     for name in given:
-        kinds = (_TAKEN.get(name) or _TAKEN.get(name.partition(".")[0]) or kind).split()
+        section = name.partition(".")[0]
+        if section in OF_THE_ROBOT or (name != section == "robot" and name != "robot.radius"):
+            raise InputError(name, "found on replay", "options of the estimate, not of the recorded robot")
+        kinds = [each for each, taken in _TAKEN.items() if {name, section} & {*taken.split()}] or [kind]
         if kind and kind not in kinds:
             raise InputError(name, f"found on a log of kind {kind}", f"on {' or '.join(kinds)}")
 
@@ -109,8 +105,7 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Log
 def check_out(log: str | Path, out: Path | None) -> None:
     """Raise InputError for an output folder that would overwrite the log."""
     if out is not None:
-        partial = absolute(out.with_name((out.name or "run") + ".partial"))
-        path = absolute(log)
+        partial, path = absolute(out.with_name((out.name or "run") + ".partial")), absolute(log)
         if partial in (path, *path.parents):
             raise InputError("out", f"found {out}, whose .partial is the log itself", "another folder")
 
@@ -126,17 +121,11 @@ def open_recorded(
     Fields of `config.laser` that were stated take precedence over the log. Raises InputError for an invalid file, and
     for relations none of which has stamps of scans.
     """
-    from sixthsense.logs import open_log
-
     chosen = chosen or LogSelection()
-    topics, robot, frames = chosen
-    files = {"log": str(absolute(log))}
-    for name, value in chosen._asdict().items():
-        if value or value == 0:
-            files[name] = str(value) if name == "robot" else ",".join(value)
+    files = {"log": str(absolute(log)), **chosen.given()}
     if isinstance(relations, (str, Path)):
         files["relations"] = str(absolute(relations))
-    opened = open_log(log, config.laser, topics, robot, config.assumed, frames, not config.no_odometry)
+    opened = open_log(log, config.laser, *chosen[:2], config.assumed, chosen.odometry_frames, not config.no_odometry)
     try:
         return of_opened(opened, config, relations, absolute(log).name, files)
     except InputError as error:
@@ -154,9 +143,6 @@ def of_opened(
 
     Raises InputError for a log that cannot be right, and as `relations_of`.
     """
-    from sixthsense.logs.diagnose import settled
-    from sixthsense.logs.log import read_relations
-
     log, config, findings = settled(log, config)
     notes: list[str] = []
     if relations is not None:
@@ -178,8 +164,7 @@ def of_opened(
 
 def of_log(config: Config, log: Log) -> Config:
     """The configuration with the laser as the log describes it, if it does, and without odometry if it has none."""
-    if not log.has_odometry:
-        config = merge(config, {"no_odometry": True})
+    config = config if log.has_odometry else merge(config, {"no_odometry": True})
     return config if log.laser is None else config.replaced(laser=log.laser)
 
 
@@ -188,9 +173,6 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
 
     The scan of a stamp is the nearest within half a period. Raises InputError where no relation is left.
     """
-    from sixthsense.logs.log import Relations
-    from sixthsense.logs.stamps import matched
-
     stamps = np.array([t.log_stamp_s for t in log.ticks if t.log_stamp_s is not None], dtype=np.float64)
     rows = matched(stamps, relations.stamps)
     known = (rows >= 0).all(axis=1) & ((rows[:, 0] != rows[:, 1]) | (relations.stamps[:, 0] == relations.stamps[:, 1]))
@@ -200,7 +182,7 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
     of_scans = stamps[rows[known]]
     off_s = float(np.abs(of_scans - relations.stamps[known]).max())
     if not known.all() or off_s > _ROUNDED_S:
-        left = f"; {np.count_nonzero(~known)} name stamps of no scan and are left out" * (not known.all())
-        count = f"{np.count_nonzero(known)} of {len(known)}"
-        notes.append(f"{count} relations are of scans, {off_s:.3g} s away at most{left}")
+        count = np.count_nonzero(known)
+        text = f"{count} of {len(known)} relations are of scans, {off_s:.3g} s away at most"
+        notes.append(f"{text}; {len(known) - count} name stamps of no scan and are left out")
     return Relations(of_scans, relations.poses[known])

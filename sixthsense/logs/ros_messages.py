@@ -1,17 +1,125 @@
-"""ROS messages as stamps, planar poses, covariances and scans; ValueError for what is not allowed."""
+"""ROS messages as stamps, planar poses, scans and a tree of frames; ValueError for what is not allowed."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
-from sixthsense.logs.text_lines import LARGEST, LAST_STAMP_S
+from sixthsense.logs.text_lines import LARGEST
+
+_STILL = 1e-6  # m, and numbers of a quaternion, by which a transform of /tf differs that does not move
+_LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
+
+
+class FramePair(NamedTuple):
+    """Two frames, such as odom and base_link."""
+
+    parent: str
+    child: str
+
+    def __str__(self) -> str:
+        return f"{shown_name(self.parent)} -> {shown_name(self.child)}"
+
+
+@dataclass(slots=True)
+class Link:
+    """The transforms between two frames."""
+
+    first: list[float]
+    """x y z qx qy qz qw of the first one"""
+    moves: bool = False
+    """whether it ever changes"""
+    stamped: list[tuple[int, int, Pose]] = field(default_factory=list)
+    """of those of /tf: stamp of the header and time of recording, ns, and `T_parent_child` in the plane"""
+
+    def matrix(self) -> Array:
+        """(4, 4) T_parent_child of the first one."""
+        from scipy.spatial.transform import Rotation  # here, since it takes a while to load
+
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = Rotation.from_quat(self.first[3:]).as_matrix(), self.first[:3]
+        return out
+
+
+class TransformTree:
+    """The transforms between frames: static ones, and those of /tf with their stamps."""
+
+    def __init__(self) -> None:
+        self.links: dict[FramePair, Link] = {}
+        """by parent and child"""
+
+    def take(self, topic: str, message: Any, record_ns: int) -> None:
+        """Add the transforms of a message, up to one that cannot be used, of which ValueError is raised."""
+        for one in message.transforms:
+            pair = FramePair(frame_name(one.header.frame_id), frame_name(one.child_frame_id))
+            numbers = pose_numbers(one.transform)
+            if topic.endswith("tf_static"):
+                self.links[pair] = Link(numbers)
+                continue
+            link = self.links.setdefault(pair, Link(numbers))
+            link.moves |= max(abs(a - b) for a, b in zip(link.first, numbers, strict=True)) > _STILL
+            link.stamped.append((stamp_ns(one) or record_ns, record_ns, planar(one.transform)))
+
+    def add_static(self, parent: str, child: str, transform: Any) -> None:
+        """Add the message of a static transform, in place of an earlier one; ValueError for one that is none."""
+        self.links[FramePair(parent, child)] = Link(pose_numbers(transform))
+
+    def frames(self) -> list[str]:
+        """The names of all frames."""
+        return sorted({frame for pair in self.links for frame in pair})
+
+    def root(self, frame: str) -> str:
+        """The last frame on the way from a frame to its root that is fixed to it."""
+        return [*self.fixed(frame)][-1]
+
+    def fixed(self, frame: str) -> dict[str, Array]:
+        """(4, 4) T_other_frame of a frame and all above it that it is fixed to, by name; the last is the root."""
+        found = {frame: np.eye(4)}
+        while True:
+            child, T_child_frame = list(found.items())[-1]
+            up = [each for each, link in self.links.items() if each.child == child and not link.moves]
+            up = [each for each in up if each.parent not in found]
+            if not up:
+                return found
+            found[up[0].parent] = self.links[up[0]].matrix() @ T_child_frame
+
+    def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
+        """`T_robot_laser`, and whether the laser is upside down; None if no constant transforms connect them.
+
+        They may lead either way: some robots send the laser as the parent. Raises ValueError for a laser that is not
+        level.
+        """
+        of_robot, of_laser = self.fixed(robot), self.fixed(laser)
+        shared = next((frame for frame in of_robot if frame in of_laser), None)
+        if shared is None:
+            return None
+        T = np.linalg.inv(of_robot[shared]) @ of_laser[shared]
+        if abs(T[2, 2]) < _LEAST_UPRIGHT:
+            raise ValueError("found a laser tilted out of the plane, allowed: a level one")
+        return Pose(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0]))), bool(T[2, 2] < 0.0)
+
+    def odometry(self, laser: str, named: FramePair | None) -> FramePair | None:
+        """The frames of odometry: those named, or those of the only transform that moves what the laser is fixed to.
+
+        Without one of these, of the only one that moves at all; None if none does. Raises ValueError for a pair that
+        is not in /tf, and where several may be odometry.
+        """
+        moving, fixed = [pair for pair, link in self.links.items() if link.moves], self.fixed(laser)
+        found = [named] if named else [pair for pair in moving if pair.child in fixed] or moving
+        if len(found) > 1 or (named and not (named in self.links and self.links[named].stamped)):
+            there = ", ".join(map(str, sorted(moving)[:8])) or "no transform that moves"
+            allowed = f"allowed: one of these in /tf, by `odometry_frames` PARENT,CHILD: {there}"
+            raise ValueError(f"found {' and '.join(map(str, found))}, {allowed}")
+        return found[0] if found else None
+
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -20,16 +128,13 @@ MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
 _LONGEST_SWEEP_S = 1.0
-_LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
-_LONGER, _SHORTER, _CONTRADICTS = 1.1, 0.25, 1.2  # of a sweep beside its turn; and of spans of angles
+_LONGER, _SHORTER = 1.1, 0.25  # of a sweep beside its turn
+_CONTRADICTS = 1.2  # of spans of angles
 
 
 def stamp_ns(message: Any) -> int:
-    """The stamp of the header, nanoseconds; ValueError for one that does not fit into 64 bits."""
-    stamp = message.header.stamp
-    if not 0 <= stamp.sec <= LAST_STAMP_S:
-        raise ValueError(f"found a stamp of {stamp.sec} s, allowed: 0 to {LAST_STAMP_S} s")
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    """The stamp of the header, nanoseconds."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def frame_name(name: str) -> str:
@@ -38,7 +143,12 @@ def frame_name(name: str) -> str:
 
 
 def pose_numbers(message: Any) -> list[float]:
-    """The numbers x y z qx qy qz qw of a Pose or a Transform; ValueError unless they are finite, and a rotation."""
+    """The numbers x y z qx qy qz qw of a message with a Pose or a Transform, or of these.
+
+    Raises ValueError unless they are finite, and a rotation.
+    """
+    while (inner := getattr(message, "pose", None) or getattr(message, "transform", None)) is not None:
+        message = inner
     place = message.position if hasattr(message, "position") else message.translation
     turn = message.orientation if hasattr(message, "orientation") else message.rotation
     found = [float(value) for value in (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)]
@@ -48,42 +158,10 @@ def pose_numbers(message: Any) -> list[float]:
 
 
 def planar(message: Any) -> Pose:
-    """A Pose or a Transform projected onto the plane; exact for a rotation about z."""
+    """The pose of a message projected onto the plane."""
     x, y, _, *turn = pose_numbers(message)
-    norm = math.hypot(*turn)
-    a, b, c, w = (value / norm for value in turn)
-    if a == b == 0.0:
-        return Pose(x, y, 2.0 * math.atan2(turn[2], turn[3]))
+    a, b, c, w = (value / math.hypot(*turn) for value in turn)
     return Pose(x, y, math.atan2(2.0 * (w * c + a * b), w * w + a * a - b * b - c * c))
-
-
-def transform(message: Any) -> Array:
-    """(4, 4) matrix of a Pose or a Transform."""
-    from scipy.spatial.transform import Rotation  # here, since it takes a while to load
-
-    found = np.array(pose_numbers(message))
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_quat(found[3:] / math.hypot(*found[3:])).as_matrix()
-    out[:3, 3] = found[:3]
-    return out
-
-
-def planar_of(T: Array) -> Pose:
-    """A (4, 4) matrix projected onto the plane; exact for a rotation about z."""
-    return Pose(T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]))
-
-
-def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
-    """The planar mount of the laser from a (4, 4) matrix, and whether the laser is upside down."""
-    if abs(T_robot_laser[2, 2]) < _LEAST_UPRIGHT:
-        raise ValueError("found a laser tilted out of the plane, allowed: a level one")
-    return planar_of(T_robot_laser), bool(T_robot_laser[2, 2] < 0.0)
-
-
-def stated_reach(message: Any) -> float | None:
-    """The `range_max` of a LaserScan, m; None where it is not that of a laser: zero, infinite, or no number."""
-    reach = float(np.float32(message.range_max))
-    return reach if 0.0 < reach <= FARTHEST_M else None
 
 
 def ranges_of(message: Any) -> NDArray[np.float32]:
@@ -94,32 +172,30 @@ def ranges_of(message: Any) -> NDArray[np.float32]:
     return np.asarray(rows, dtype=np.float32)
 
 
-def scan(
-    message: Any,
-    T_robot_laser: Pose,
-    upside_down: bool = False,
-    max_range: float | None = None,
-) -> Scan:
-    """The scan of a LaserScan message; ranges outside [range_min, range_max] are no returns.
+def stated_reach(message: Any) -> float | None:
+    """The `range_max` of a LaserScan, m; None where it is not that of a laser: zero, infinite, or no number."""
+    reach = float(np.float32(message.range_max))
+    return reach if 0.0 < reach <= FARTHEST_M else None
+
+
+def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range: float | None = None) -> Scan:
+    """The scan of a LaserScan message; ranges below range_min, and at range_max or beyond, are no returns.
 
     `max_range` replaces `range_max`, which a message has in float32 only, and may have too large or not at all. The
     beams of a clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
     `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
-    ranges, high = ranges_of(message), stated_reach(message)
-    if not 2 <= len(ranges) <= MOST_BEAMS:
-        raise ValueError(f"found a scan of {len(ranges)} ranges, allowed: 2 to {MOST_BEAMS}")
-    first, step = _beams(message, len(ranges))
-    if high is None and max_range is None:
+    ranges, (first, step) = ranges_of(message), _beams(message)
+    stated = stated_reach(message) or max_range
+    if stated is None:
         raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")
     if abs(step) * (len(ranges) - 1) > 2.0 * math.pi - 0.5 * abs(step):
         ranges = ranges[: max(2, round(2.0 * math.pi / abs(step)))]
-    count = len(ranges)
-    reach = min(high or math.inf, math.inf if max_range is None else max_range)
-    low = np.float32(message.range_min)
+    low, count = np.float32(message.range_min), len(ranges)
     with np.errstate(invalid="ignore"):
-        returned = (ranges <= np.float32(reach)) & ((ranges >= low) if np.isfinite(low) else (ranges > 0.0))
-        ranges = np.where(returned, ranges, np.float32(np.inf))
+        is_far = ranges >= np.float32(min(stated, max_range or stated))
+        is_near = ranges < low if np.isfinite(low) else ranges <= 0.0
+        ranges = np.where(is_far | is_near | np.isnan(ranges), np.float32(np.inf), ranges)
     lag = float(message.time_increment)
     lag = lag if 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S else 0.0
     if upside_down:
@@ -127,22 +203,21 @@ def scan(
     if step < 0.0:
         first, step, ranges, lag = first + step * (count - 1), -step, ranges[::-1].copy(), -lag
     ranges.flags.writeable = False
-    own = reach if max_range is None else max_range
-    return Scan(ranges, np.float32(first), np.float32(step), own, T_robot_laser, np.float32(lag))
+    return Scan(ranges, np.float32(first), np.float32(step), max_range or stated, T_robot_laser, np.float32(lag))
 
 
-def _beams(message: Any, count: int) -> tuple[float, float]:
-    """Bearing of the first beam and angle between two, rad; ValueError for angles that no laser has."""
-    first, step = float(message.angle_min), float(message.angle_increment)
+def _beams(message: Any) -> tuple[float, float]:
+    """Bearing of the first beam and angle between two, rad; ValueError for what no laser has."""
+    count, first, step = len(message.ranges), float(message.angle_min), float(message.angle_increment)
+    span, share = abs(step) * (count - 1), angles_disagree(message)
+    if not 2 <= count <= MOST_BEAMS:
+        raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {MOST_BEAMS}")
     if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
         raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
-    last = first + step * (count - 1)
-    if abs(last - first) > 3.0 * math.pi:  # some drivers send a few beams more than a full turn
-        if (share := angles_disagree(message)) > 1.0:
-            found = f"found an angle_increment that spans {share:.3g} times what angle_min and angle_max do"
-            raise ValueError(f"{found}, allowed: at most a full turn")
-        found = f"found angles of {first:.6g} to {last:.6g}, which are degrees"
-        raise ValueError(f"{found}, allowed: radians")
+    if span > 3.0 * math.pi:  # some drivers send a few beams more than a full turn
+        of_twice = f"an angle_increment that spans {share:.3g} times what angle_min and angle_max do"
+        found = of_twice if share > 1.0 else f"angles of {first:.6g} to {first + span:.6g}, which are degrees"
+        raise ValueError(f"found {found}, allowed: radians, at most a full turn")
     return first, step
 
 

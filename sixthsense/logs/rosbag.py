@@ -1,10 +1,11 @@
-"""ROS 1 and ROS 2 bags with laser scans and odometry."""
+"""ROS 1 and ROS 2 bags, opened by rosbags within bounds: as a log of scans and odometry, and as poses of a topic."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,49 +13,154 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
-from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.errors import InputError, nearest, reason_of
 from sixthsense.config.section import shown_name
-from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.logs.bag_file import only_topic, opened
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import sweep_ns
+from sixthsense.logs import ros_messages as ros
 from sixthsense.logs.finding import Finding
-from sixthsense.logs.joining import Odometry, Sighting
-from sixthsense.logs.laser_geometry import max_range_of
-from sixthsense.logs.log import Log
-from sixthsense.logs.ros_messages import (
-    LASER_SCAN,
-    MULTI_ECHO,
-    ODOMETRY,
-    angles_disagree,
-    frame_name,
-    planar,
-    ranges_of,
-    scan,
-    stamp_ns,
-    stated_reach,
-    sweep_fault,
-)
+from sixthsense.logs.laser_geometry import FARTHEST_M, max_range_of
+from sixthsense.logs.log import Log, Odometry, Sighting
 from sixthsense.logs.stamps import ascending, passed_s
-from sixthsense.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
+from sixthsense.logs.text_lines import check_regular
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-_SCANS = (LASER_SCAN, MULTI_ECHO)
-_POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped")
+_SCANS = (ros.LASER_SCAN, ros.MULTI_ECHO)
+_SPREAD = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_STAMPED = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG": ".bag", b"SQLite format 3\x00": ".db3"}
+_WHOLE = "a whole ROS 1 .bag, ROS 2 folder or file; `mcap recover` or `rosbag reindex` makes one of a file that is cut"
+_BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 28, 20
+"""bytes that all chunks may have together; scans rarely compress to a tenth"""
 _SINCE_1970_NS = 10**17
 """Stamps of a clock that shows the time are larger: one of 0 among them is not set."""
 
 
-class How(NamedTuple):
-    """How a bag is read."""
+def suffix_of(file: Path) -> str:
+    """The suffix that a bag has by its first bytes; empty for another file, and for one that cannot be read."""
+    try:
+        if not file.is_file():  # a pipe would wait for ever
+            return ""
+        with file.open("rb") as stream:
+            begin = stream.read(16)
+    except OSError:
+        return ""
+    return next((suffix for magic, suffix in _SUFFIXES.items() if begin.startswith(magic)), "")
 
-    topics: Sequence[str] = ()
-    """of scans and odometry, among several"""
-    frames: FramePair | None = None
-    """of odometry in /tf"""
-    odometry: bool = True
-    """whether the bag's odometry is used"""
+
+def bag_files(folder: Path) -> list[Path]:
+    """The files of a ROS 2 bag in a folder; pieces may be in any order."""
+    return sorted(file for file in folder.iterdir() if suffix_of(file) in (".mcap", ".db3"))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[AnyReader]:
+    """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file).
+
+    Whatever is wrong within the block is an InputError: a damaged bag can raise any exception, and may define a type
+    with a known name but without the expected fields.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    try:
+        check_regular(path)
+        files = bag_files(path) if path.is_dir() else [path]
+        for file in files:
+            if (kind := suffix_of(file)) not in ("", file.suffix):
+                raise InputError(file, "found a bag of another name", f"one that ends in {kind}")
+            if kind == ".mcap":
+                _check_chunks(file)
+        named = [path] if (path / "metadata.yaml").is_file() else files or [path]
+        with AnyReader(named, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", _WHOLE) from None
+
+
+def _check_chunks(file: Path) -> None:
+    """Raise an exception, by the headers of the records, for chunks that are far larger than the file, or for a cut."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader
+
+    left = _BASE_BUDGET + _BUDGET_PER_BYTE * file.stat().st_size
+    with file.open("rb") as stream:
+        for record in StreamReader(stream, emit_chunks=True, record_size_limit=_BASE_BUDGET).records:
+            left -= record.uncompressed_size if isinstance(record, Chunk) else 0
+            if left < 0:
+                raise ValueError("found chunks that hold far more than the file")
+
+
+def _topics_of(reader: AnyReader) -> dict[str, str]:
+    """The type of each topic that has messages; of all where no index counts them."""
+    types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
+    return types or {c.topic: c.msgtype for c in reader.connections}
+
+
+class PoseTopic(NamedTuple):
+    """The poses of a topic, in the order of its messages."""
+
+    topic: str
+    """its name"""
+    stamps_ns: NDArray[np.int64]
+    """(N,) of the headers; of the records where a driver leaves these at zero"""
+    poses: Array
+    """(N, 7), x y z qx qy qz qw"""
+    covs: Array | None
+    """(N, 6, 6), x y z and rotations about these axes of the parent frame; None of a type without covariance"""
+
+
+def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclude: Collection[str] = ()) -> PoseTopic:
+    """Read the poses of a topic, by default of the only one with poses, without those to `exclude`.
+
+    Raises InputError with the candidates unless there is one, and for a bag or a pose that cannot be read.
+    """
+    kinds = (_SPREAD, ros.ODOMETRY) if with_covariance else (_SPREAD, ros.ODOMETRY, *_STAMPED)
+    option = "`topic`" if with_covariance else "`truth_topic`"
+    rows: list[list[float]] = []
+    covs, stamps = [], []
+    with _opened(path) as reader:
+        name = _only_topic(path, _topics_of(reader), kinds, option, [topic] if topic else [], exclude)
+        for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            try:
+                rows.append(ros.pose_numbers(message))
+            except ValueError as error:
+                raise InputError(f"{path} {name} message {len(rows) + 1}", str(error)) from None
+            stamps.append(ros.stamp_ns(message) or record_ns)
+            covs += [] if connection.msgtype in _STAMPED else [message.pose.covariance]
+    found = np.array(covs, dtype=np.float64).reshape(-1, 6, 6) if covs else None
+    return PoseTopic(name, np.array(stamps, dtype=np.int64), np.array(rows, dtype=np.float64).reshape(-1, 7), found)
+
+
+def _only_topic(
+    path: Path,
+    types: Mapping[str, str],
+    kinds: Sequence[str],
+    option: str,
+    named: Sequence[str],
+    exclude: Collection[str] = (),
+) -> str:
+    """The topic of these types that is named, or the only one but for those to `exclude`.
+
+    Raises InputError with the candidates for none or several.
+    """
+    every = sorted(topic for topic, kind in types.items() if kind in kinds)
+    fitting = [topic for topic in every if (topic in named if named else topic not in exclude)]
+    if len(fitting) == 1:
+        return fitting[0]
+    short = {kind: kind.rpartition("/")[2] for kind in (*kinds, *types.values())}
+    of_type = f"of type {' or '.join(short[kind] for kind in kinds)}"
+    there = ", ".join(f"{shown_name(topic)} ({short[kind]})" for topic, kind in sorted(types.items())[:8])
+    none = f"found no topic {', '.join(map(repr, named)) or of_type}, but {there or 'no topic at all'}"
+    found = f"found {len(fitting)} topics {of_type}" if fitting else none
+    allowed = f"one, by {option} {' or '.join(map(shown_name, fitting or every))}" if every else f"one {of_type}"
+    raise InputError(path, found, allowed, nearest(next(iter(named), ""), every))
 
 
 class _Stamped(NamedTuple):
@@ -63,120 +169,111 @@ class _Stamped(NamedTuple):
     own_ns: int
     """of its header"""
     record_ns: int
-    message: Any
-    """a scan, or `T_odom_robot`"""
+    value: Any
+    """the scan, or `T_odom_robot`"""
     frame: str
     """of the laser, or of the robot"""
+    message: Any = None
+    """of a scan"""
 
 
 @dataclass(slots=True)
 class _Recording:
     """The messages of a bag in the order of its records."""
 
-    tree: TransformTree
+    tree: ros.TransformTree = field(default_factory=ros.TransformTree)
     found: list[Finding] = field(default_factory=list)
     scans: list[_Stamped] = field(default_factory=list)
     odometry: list[_Stamped] = field(default_factory=list)
-    refused: dict[str, list[str]] = field(default_factory=dict)
+    refused: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     """what is wrong with messages that are left out, by topic"""
 
-    def refuse(self, topic: str, error: Exception) -> None:
-        """Leave out a message of a topic."""
-        self.refused.setdefault(topic, []).append(reason_of(error))
 
-
-def read_bag(file: str | Path, laser: LaserConfig, how: How | None = None) -> Log:
+def read_bag(
+    file: str | Path, laser: LaserConfig, topics: Sequence[str] = (), frames: Sequence[str] = (), odometry: bool = True
+) -> Log:
     """Read a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file).
 
     Scans and odometry are the topics of type LaserScan, or MultiEchoLaserScan, and Odometry; a topic of poses is
-    odometry where it is named. Without a topic of odometry, or with `how.frames`, odometry is a pair of frames in /tf;
-    without transforms there, the log has scans alone. Beams and ranges are those of each message. Scans are of the
-    frame that most of them have. The mount is `laser.mount` if it is stated, else that of /tf_static, or of /tf where
-    it stands still.
+    odometry where it is named by `topics`. Without a topic of odometry, or with `frames`, it is a transform of /tf;
+    without one that moves there, or without `odometry`, the log has scans alone. Beams and ranges are those of each
+    message. Scans are of the frame that most of them have. The mount is `laser.mount` if it is stated, else that of
+    /tf_static, or of /tf where it stands still.
 
     Stamps are those of the headers, of the recording where these are not set or do not ascend. The stamp of a sweep is
     that of its first beam in the message and of its last beam in the tick. A message that cannot be used is left out,
     and counted. Raises InputError for a bag that cannot be read, that lacks a topic of scans or a scan that can be
     used, or whose odometry in /tf is not clear.
     """
-    path, how = Path(file), how or How()
-    with opened(path) as reader:
-        of_scans, of_odometry = _topics(path, reader, how)
-        recording = _recording(path, reader, of_scans, of_odometry, how)
-    frames = Counter(each.frame for each in recording.scans)
-    frame = max(frames, key=lambda name: (frames[name], name))
-    own = [each for each in recording.scans if each.frame == frame]
-    if len(own) < len(recording.scans):
-        others = ", ".join(shown_name(name) for name in frames if name != frame)
+    path, recording = Path(file), _Recording()
+    named = ros.FramePair(*map(ros.frame_name, frames)) if len(frames) == 2 else None
+    if frames and named is None:
+        raise InputError("odometry_frames", f"found {','.join(frames)!r}", "PARENT,CHILD, such as odom,base_link")
+    with _opened(path) as reader:
+        of_odometry = _read(path, reader, recording, topics, odometry and not frames)
+    counts = Counter(each.frame for each in recording.scans)
+    frame = max(counts, key=lambda name: (counts[name], name))
+    if others := ", ".join(shown_name(name) for name in counts if name != frame):
         text = f"scans of {others} are left out: most are of {shown_name(frame)}"
-        recording.found.append(Finding("left_out", len(recording.scans) - len(own), place=text))
-    if how.odometry and not of_odometry:
-        _add_odometry_of_tf(path, recording, frame, how.frames)
-    place, is_upside_down = _mount(path, recording, laser, frame)
-    unlimited = [ranges_of(each.message) for each in own if stated_reach(each.message) is None]
-    limit = max_range_of(unlimited) if unlimited else None
-    made: list[tuple[_Stamped, Scan]] = []
-    for each in own:
-        reach = limit if stated_reach(each.message) is None else None
-        try:
-            made.append((each, scan(each.message, place, is_upside_down != laser.mirrored, reach)))
-        except ValueError as error:
-            recording.refuse(of_scans, error)
-    if not made:
-        raise InputError(f"{path} {of_scans}", f"found no scan that can be used: {recording.refused[of_scans][0]}")
-    if limit is not None:
-        text = f"since range_max is not the range of a laser in {len(unlimited)} of {len(own)} scans"
+        recording.found.append(Finding("left_out", len(recording.scans) - counts[frame], place=text))
+        recording.scans = [each for each in recording.scans if each.frame == frame]
+    try:
+        if odometry and not of_odometry and (pair := recording.tree.odometry(frame, named)) is not None:
+            recording.odometry = [_Stamped(*row, pair.child) for row in recording.tree.links[pair].stamped]
+            recording.found.append(Finding("odometry_frames", place=f"{pair}, {len(recording.odometry)} transforms"))
+        place, is_upside_down = _mount(recording, laser, frame)
+    except ValueError as error:
+        raise InputError(f"{path} /tf", str(error)) from None
+    _describe(recording)
+    unlimited = [each.value.ranges for each in recording.scans if each.value.max_range >= FARTHEST_M]
+    limit = max_range_of(unlimited) if unlimited else FARTHEST_M
+    if unlimited:
+        text = f"since range_max is not the range of a laser in {len(unlimited)} of {len(recording.scans)} scans"
         recording.found.append(Finding("assumed_range", limit, place=text))
-    _describe(recording, [each for each, _ in made])
-    return _log(recording, made, laser)
+    for k, each in enumerate(recording.scans):
+        seen = replace(each.value, max_range=min(each.value.max_range, limit), T_robot_laser=place)
+        is_mirrored = is_upside_down != laser.mirrored
+        recording.scans[k] = each._replace(value=seen.mirrored() if is_mirrored else seen)
+    return _log(recording, laser)
 
 
-def _topics(path: Path, reader: AnyReader, how: How) -> tuple[str, str]:
-    """The topics of scans and of odometry; "" for odometry that is not of a topic."""
-    types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
-    types = types or {c.topic: c.msgtype for c in reader.connections}
-    known = (*_SCANS, ODOMETRY, *_POSES)
-    for topic in how.topics:
-        only_topic(path, types, known, "`topics`", set(types) - {topic}, f"no topic {topic!r}")
-
-    def chosen(kinds: Sequence[str]) -> str:
-        wanted = {topic for topic in how.topics if types[topic] in kinds}
-        return only_topic(path, types, kinds, "`topics`", set(types) - wanted if wanted else ())
-
-    if not how.odometry or how.frames is not None:
-        return chosen(_SCANS), ""
-    poses = [topic for topic in how.topics if types[topic] in _POSES]
-    return chosen(_SCANS), poses[0] if poses else chosen((ODOMETRY,)) if ODOMETRY in types.values() else ""
-
-
-def _recording(path: Path, reader: AnyReader, of_scans: str, of_odometry: str, how: How) -> _Recording:
-    """Read the messages of both topics and of the transforms."""
-    out = _Recording(TransformTree(how.frames))
-    wanted = [c for c in reader.connections if c.topic in (of_scans, of_odometry) or c.msgtype in TRANSFORM_TYPES]
-    for connection, record_ns, raw in _messages(reader, wanted, out):
+def _read(path: Path, reader: AnyReader, recording: _Recording, topics: Sequence[str], has_odometry: bool) -> str:
+    """Read the messages of scans, odometry and transforms; the topic of odometry, "" where it is not of a topic."""
+    types = _topics_of(reader)
+    known = (*_SCANS, ros.ODOMETRY, _SPREAD, _STAMPED[0])
+    if unknown := [topic for topic in topics if types.get(topic) not in known]:
+        _only_topic(path, types, known, "`topics`", unknown)
+    named = [topic for topic in topics if types[topic] in _SCANS]
+    of_scans = _only_topic(path, types, _SCANS, "`topics`", named)
+    named, of_odometry = [topic for topic in topics if types[topic] not in _SCANS], ""
+    if has_odometry and (named or ros.ODOMETRY in types.values()):
+        of_odometry = _only_topic(path, types, known[2:] if named else [ros.ODOMETRY], "`topics`", named)
+    wanted = [c for c in reader.connections if c.topic in (of_scans, of_odometry) or c.msgtype in _TRANSFORMS]
+    for connection, record_ns, raw in _messages(reader, wanted, recording.found):
         topic = connection.topic
         try:
             message: Any = reader.deserialize(raw, connection.msgtype)
-            if connection.msgtype in TRANSFORM_TYPES:
-                for fault in out.tree.take(topic, message, record_ns):
-                    out.refuse(topic, fault)
-            elif topic == of_scans:
-                frame = frame_name(message.header.frame_id)
-                out.scans.append(_Stamped(stamp_ns(message), record_ns, message, frame))
+            if connection.msgtype in _TRANSFORMS:
+                recording.tree.take(topic, message, record_ns)
+                continue
+            stamps = ros.stamp_ns(message), record_ns
+            if topic == of_scans:
+                limit = FARTHEST_M if ros.stated_reach(message) is None else None
+                scan, frame = ros.scan(message, Pose(), max_range=limit), ros.frame_name(message.header.frame_id)
+                recording.scans.append(_Stamped(*stamps, scan, frame, message))
             else:
-                pose = planar(message.pose.pose if hasattr(message.pose, "pose") else message.pose)
-                robot = frame_name(getattr(message, "child_frame_id", ""))
-                out.odometry.append(_Stamped(stamp_ns(message), record_ns, pose, robot))
+                robot = ros.frame_name(getattr(message, "child_frame_id", ""))
+                recording.odometry.append(_Stamped(*stamps, ros.planar(message), robot))
         except Exception as error:  # damaged bytes raise whatever they lead to
-            out.refuse(topic, error)
-    for topic, has in ((of_scans, out.scans), (of_odometry, out.odometry)):
+            recording.refused[topic].append(reason_of(error))
+    for topic, has in ((of_scans, recording.scans), (of_odometry, recording.odometry)):
         if topic and not has:
-            reason = out.refused.get(topic, ["none"])[0]
+            reason = (recording.refused[topic] or ["none"])[0]
             raise InputError(f"{path} {topic}", f"found no message that can be used: {reason}")
-    return out
+    return of_odometry
 
 
-def _messages(reader: AnyReader, known: Sequence[Any], out: _Recording) -> Iterator[tuple[Any, int, bytes]]:
+def _messages(reader: AnyReader, known: Sequence[Any], found: list[Finding]) -> Iterator[tuple[Any, int, bytes]]:
     """The messages of connections, up to the first damage of the file."""
     count = 0
     try:
@@ -187,84 +284,59 @@ def _messages(reader: AnyReader, known: Sequence[Any], out: _Recording) -> Itera
         if not count:
             raise
         text = f"the bag is damaged after {count} messages, which are read ({reason_of(error)})"
-        out.found.append(Finding("cut_short", place=text))
+        found.append(Finding("cut_short", place=text))
 
 
-def _add_odometry_of_tf(path: Path, recording: _Recording, laser: str, frames: FramePair | None) -> None:
-    """Add the odometry of /tf, if there are any transforms."""
-    tree = recording.tree
-    if frames is None and not any(link.stamped for link in tree.links.values()):
-        return
-    try:
-        pair, rows = tree.odometry(laser, frames)
-    except ValueError as error:
-        raise InputError(f"{path} /tf", str(error)) from None
-    recording.odometry = [_Stamped(*row, pair.child) for row in rows]
-    recording.found.append(Finding("odometry_frames", place=f"{pair}, {len(rows)} transforms"))
-
-
-def _describe(recording: _Recording, own: Sequence[_Stamped]) -> None:
-    """Add what the messages say of the laser that cannot be as it is, and the messages that are left out."""
-    period_s = float(np.median(passed_s([each.own_ns for each in own]))) if len(own) > 1 else 0.0
-    faults = [(each.message, fault) for each in own if (fault := sweep_fault(each.message, period_s))]
-    if faults:
-        message, fault = faults[0]
-        value = float(message.time_increment) * (len(message.ranges) - 1)
-        recording.found.append(Finding("sweep", value, place=fault))
-    shares = [share for each in own if (share := angles_disagree(each.message))]
-    if 2 * len(shares) > len(own):
-        recording.found.append(Finding("angle_increment", float(np.median(shares))))
-    for topic, reasons in recording.refused.items():
-        text = f"messages of {topic} are left out, the first: {reasons[0]}"
-        recording.found.append(Finding("left_out", len(reasons), place=text))
-
-
-def _mount(path: Path, recording: _Recording, laser: LaserConfig, frame: str) -> tuple[Pose, bool]:
+def _mount(recording: _Recording, laser: LaserConfig, frame: str) -> tuple[Pose, bool]:
     """The mount of the laser on the robot, and whether the laser is upside down."""
     tree, named = recording.tree, Counter(each.frame for each in recording.odometry).most_common(1)
-    try:
-        robot = (named[0][0] if named else "") or tree.root(frame)
-        place = tree.mount(robot, frame)
-    except ValueError as error:
-        raise InputError(f"{path} /tf_static", str(error)) from None
+    robot = (named[0][0] if named else "") or tree.root(frame)
+    place, assumed = tree.mount(robot, frame), ""
     if "mount" in laser.model_fields_set or any(laser.mount):
         return Pose(*laser.mount), place is not None and place[1]
     if place is None:
         there = ", ".join(map(shown_name, tree.frames()[:12])) or "none"
-        between = f"nothing leads from {shown_name(robot)} to {shown_name(frame)} (frames: {there})"
-        recording.found.append(Finding("assumed_mount", place=f"the robot's centre, since {between}"))
+        lacks = f"nothing leads from {shown_name(robot)} to {shown_name(frame)} (frames: {there})"
+        assumed = f"the robot's centre, since {lacks}"
     elif named and not named[0][0]:
-        text = f"its place on {shown_name(robot)}, since odometry names no frame of the robot"
-        recording.found.append(Finding("assumed_mount", place=text))
+        assumed = f"its place on {shown_name(robot)}, since odometry names no frame of the robot"
+    recording.found += [Finding("assumed_mount", place=assumed)] if assumed else []
     return place or (Pose(), False)
 
 
-def _log(recording: _Recording, made: Sequence[tuple[_Stamped, Scan]], laser: LaserConfig) -> Log:
-    """The log, with stamps of the headers, or with those of the recording where the headers' do not ascend."""
-    stamped = [each for each, _ in made], recording.odometry
-    headers, of_odometry = (_set(messages) for messages in stamped)  # the headers' are those that relations refer to
-    stamps = headers
-    if not all(
-        np.all(np.diff(each) >= 0) and len(np.unique(each)) > len(each) / 2
-        for each in (headers, of_odometry)
-        if len(each)
-    ):
-        recording.found.append(Finding("stamps_of_recording", place="the headers decrease or repeat"))
-        stamps, of_odometry = (np.array([m.record_ns for m in messages], dtype=np.int64) for messages in stamped)
-    sightings = [
-        Sighting(int(stamp) - sweep_ns(len(one.ranges), one.time_increment), one, header / 1e9)
-        for stamp, header, (_, one) in zip(stamps.tolist(), headers.tolist(), made, strict=True)
-    ]
-    odometry = None
-    if recording.odometry:
-        poses = np.array([each.message.array() for each in recording.odometry])
-        odometry = Odometry(ascending(of_odometry), poses)
+def _describe(recording: _Recording) -> None:
+    """Add what the messages say of the laser that cannot be as it is, and the messages that are left out."""
+    scans = recording.scans
+    period_s = float(np.median(passed_s([each.own_ns for each in scans]))) if len(scans) > 1 else 0.0
+    for each in scans:
+        if fault := ros.sweep_fault(each.message, period_s):
+            value = float(each.message.time_increment) * (len(each.message.ranges) - 1)
+            recording.found.append(Finding("sweep", value, place=fault))
+            break
+    shares = [share for each in scans if (share := ros.angles_disagree(each.message))]
+    if 2 * len(shares) > len(scans):
+        recording.found.append(Finding("angle_increment", float(np.median(shares))))
+    for topic, reasons in recording.refused.items():
+        text = f"messages of {topic} are left out, the first: {''.join(reasons[:1])}"
+        recording.found += [Finding("left_out", len(reasons), place=text)] if reasons else []
+
+
+def _log(recording: _Recording, laser: LaserConfig) -> Log:
+    """The log, with stamps of the headers, or with those of the recording where these do not ascend, or are not set."""
+    seen, driven = recording.scans, recording.odometry
+    scans_ns, odometry_ns = (np.array([each.own_ns for each in one], dtype=np.int64) for one in (seen, driven))
+    if is_unset := any(_is_unset(each) for each in (scans_ns, odometry_ns) if len(each)):
+        recording.found.append(Finding("stamps_of_recording"))
+        scans_ns, odometry_ns = (np.array([each.record_ns for each in one], dtype=np.int64) for one in (seen, driven))
+    sightings = []
+    for stamp, (own_ns, record_ns, scan, *_) in zip(scans_ns.tolist(), seen, strict=True):
+        own_s = (own_ns or record_ns * is_unset) / 1e9
+        sightings.append(Sighting(stamp - sweep_ns(len(scan.ranges), scan.time_increment), scan, own_s))
+    odometry = Odometry(ascending(odometry_ns), np.array([each.value.array() for each in driven])) if driven else None
     return Log.of(sightings, odometry, laser, recording.found)
 
 
-def _set(messages: Sequence[_Stamped]) -> NDArray[np.int64]:
-    """(N,) stamps of headers, ns; of the recording where they are 0 among others that show the time, or all are 0."""
-    own = np.array([each.own_ns for each in messages], dtype=np.int64)
-    records = np.array([each.record_ns for each in messages], dtype=np.int64)
-    is_unset = (own == 0) & (bool(len(own)) and (not own.any() or float(np.median(own)) > _SINCE_1970_NS))
-    return np.where(is_unset, records, own)
+def _is_unset(own_ns: NDArray[np.int64]) -> bool:
+    """Whether stamps of headers decrease, repeat for the most part, or are 0 among others that show the time."""
+    is_zero = bool((own_ns == 0).any()) and float(own_ns.max()) > _SINCE_1970_NS
+    return bool((np.diff(own_ns) < 0).any()) or 2 * len(np.unique(own_ns)) <= len(own_ns) > 1 or is_zero

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,18 +51,7 @@ class Message(NamedTuple):
     """(n,) rows of the channel, or a value of JSON"""
 
 
-class RunLog(Log):
-    """What a run received."""
-
-    messages: Sequence[Message] = ()
-    """all that the record holds"""
-
-    def paths(self, channel: str) -> list[tuple[int, NDArray[Any]]]:
-        """Stamps, ns, and paths (N, 2) of the channel `plan` or `tour`."""
-        return [(message.stamp_ns, message.value) for message in self.messages if message.channel == channel]
-
-
-def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
+def read_run(folder: str | Path, laser: LaserConfig) -> Log:
     """Read what a run received from the record in its folder, or in its `.partial`.
 
     `laser` is that of the folder's configuration; beams and ranges come from the record. An incomplete record is read
@@ -73,14 +61,17 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     file = Path(folder) / FILE
     messages, is_cut = read_messages(file)
     with readable(file):
-        ticks = list(ticks_of(messages, Pose(*laser.mount)))
+        ticks = ticks_of(messages, Pose(*laser.mount))
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         raise InputError(file, f"found no scan and no observation{' before it ends' * is_cut}", "the record of a run")
     used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
     text = f"the recording is incomplete; its first {used_s:.1f} s are used"
-    log = RunLog(ticks, laser, [Finding("cut_short", used_s, place=text)] * is_cut)
-    log.messages = messages
-    return log
+    return Log(ticks, laser, [Finding("cut_short", used_s, place=text)] * is_cut)
+
+
+def paths_of(messages: Sequence[Message], channel: str) -> list[tuple[int, NDArray[Any]]]:
+    """Stamps, ns, and paths (N, 2) of the channel `plan` or `tour`."""
+    return [(message.stamp_ns, message.value) for message in messages if message.channel == channel]
 
 
 def observation_rows(observations: Mapping[LandmarkId, Observation]) -> NDArray[Any]:
@@ -89,58 +80,48 @@ def observation_rows(observations: Mapping[LandmarkId, Observation]) -> NDArray[
     return np.array(rows, dtype=OBSERVATION)
 
 
-def observations_of(rows: NDArray[Any]) -> dict[LandmarkId, Observation]:
-    """The inverse of `observation_rows`."""
-    return {
-        int(row["landmark"]): Observation(Kind(row["kind"]), row["z"], row["cov"], tuple(row["extent"].tolist()))
-        for row in rows
-    }
-
-
-def ticks_of(messages: Sequence[Message], mount: Pose) -> Iterator[Tick]:
+def ticks_of(messages: Sequence[Message], mount: Pose) -> list[Tick]:
     """The ticks; a scan without a stamp of its log has that of its first beam.
 
     Raises ValueError for stamps that do not ascend, and for a loop closure with no earlier tick.
     """
-    tick: Tick | None = None
+    ticks: list[Tick] = []
     laser: Mapping[str, Any] = {}
-    number = -1
     for channel, stamp_ns, value in messages:
         if channel == "tick":
-            if tick is not None:
-                yield tick
-                if stamp_ns <= tick.stamp_ns:
-                    raise ValueError(f"a tick at {stamp_ns} ns after {tick.stamp_ns} ns")
-            tick, number = _tick(stamp_ns, value[0]), number + 1
+            if ticks and stamp_ns <= ticks[-1].stamp_ns:
+                raise ValueError(f"a tick at {stamp_ns} ns after {ticks[-1].stamp_ns} ns")
+            ticks.append(_tick(stamp_ns, value[0]))
         elif channel == "laser":
             laser = value
-        elif tick is None:
-            continue
-        elif channel == "scan":
+        elif channel == "scan" and ticks:
             names = "angle_min", "angle_increment", "time_increment"
             first, step, lag = (np.float32(laser[name]) for name in names)
-            seen = Scan(value, first, step, float(laser["max_range"]), mount, lag)
+            seen, own_s = Scan(value, first, step, float(laser["max_range"]), mount, lag), ticks[-1].log_stamp_s
             began_s = max(stamp_ns + sweep_ns(len(value), lag), 0) / 1_000_000_000
-            tick = replace(tick, scan=seen, log_stamp_s=began_s if tick.log_stamp_s is None else tick.log_stamp_s)
-        elif channel == "observations":
-            tick = replace(tick, observations=observations_of(value))
-        elif channel == "closures":
-            closures = [Closure(int(row["before"]), Pose.from_array(row["motion"]), row["cov"]) for row in value]
-            if any(not 0 <= closure.before < number for closure in closures):
-                raise ValueError(f"a loop closure of tick {number} with no earlier one")
-            tick = replace(tick, closures=tuple(closures))
-    if tick is not None:
-        yield tick
+            ticks[-1] = replace(ticks[-1], scan=seen, log_stamp_s=began_s if own_s is None else own_s)
+        elif channel == "observations" and ticks:
+            seen_by_id = {
+                int(i): Observation(Kind(kind), z, cov, tuple(extent.tolist())) for i, kind, z, cov, extent in value
+            }
+            ticks[-1] = replace(ticks[-1], observations=seen_by_id)
+        elif channel == "closures" and ticks:
+            closures = tuple(Closure(int(before), Pose.from_array(motion), cov) for before, motion, cov in value)
+            if any(not 0 <= closure.before < len(ticks) - 1 for closure in closures):
+                raise ValueError(f"a loop closure of tick {len(ticks) - 1} with no earlier one")
+            ticks[-1] = replace(ticks[-1], closures=closures)
+    return ticks
 
 
 def _tick(stamp_ns: int, row: Any) -> Tick:
-    cov, truth, own_s = row["increment_cov"], row["truth"], float(row["log_stamp_s"])
+    names = "increment_cov", "truth", "log_stamp_s"
+    cov, truth, own_s = (None if np.isnan(row[name]).any() else row[name] for name in names)
     return Tick(
         stamp_ns,
         Pose.from_array(row["odometry"]),
-        increment_cov=None if np.isnan(cov).any() else cov,
-        truth=None if np.isnan(truth).any() else Pose.from_array(truth),
-        log_stamp_s=None if math.isnan(own_s) else own_s,
+        increment_cov=cov,
+        truth=None if truth is None else Pose.from_array(truth),
+        log_stamp_s=None if own_s is None else float(own_s),
         is_unmeasured=bool(row["is_unmeasured"]),
     )
 
@@ -153,16 +134,11 @@ def read_messages(file: Path) -> tuple[list[Message], bool]:
     from mcap.exceptions import InvalidMagic
     from mcap.reader import NonSeekingReader
 
-    rows: dict[int, np.dtype[Any]] = {}
-    found: list[Message] = []
-    is_cut = False
+    is_cut, raw = False, []
     with readable(file):
-        if not file.is_file():
-            raise InputError(file, "no such file", "the folder of a run of this version")
         check_regular(file)
         with file.open("rb") as stream:
             reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_CHUNK)
-            raw: list[Any] = []
             try:
                 for each in reader.iter_messages(log_time_order=False):
                     raw.append(each)
@@ -170,14 +146,11 @@ def read_messages(file: Path) -> tuple[list[Message], bool]:
                 raise InputError(file, "is not an MCAP file", "the record of a run") from None
             except Exception:  # the writer was stopped here; an incomplete record raises any exception
                 is_cut = True
-            for schema, channel, message in raw:
-                if schema is None or schema.encoding != "rows":
-                    value = json.loads(message.data)
-                else:
-                    if schema.id not in rows:
-                        rows[schema.id] = _row_type(json.loads(schema.data))
-                    value = _rows(message.data, rows[schema.id])
-                found.append(Message(channel.topic, message.log_time, value))
+        rows = {schema.id: _row_type(schema.data) for schema, *_ in raw if schema and schema.encoding == "rows"}
+        found = [
+            Message(channel.topic, message.log_time, _value(message.data, rows.get(channel.schema_id)))
+            for _, channel, message in raw
+        ]
         if not found or found[0].channel != "run" or found[0].value["format"] != FORMAT:
             raise InputError(file, "found no record of this version", "the record of a run")
     return found, is_cut
@@ -190,22 +163,22 @@ def readable(file: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror or 'damaged'})") from None
+    except FileNotFoundError:
+        raise InputError(file, "no such file", "the folder of a run of this version") from None
     except Exception as error:  # a message with a valid checksum may still be invalid
-        raise InputError(file, f"found {reason_of(error)}", "the record of a run") from None
+        raise InputError(file, f"cannot be read ({reason_of(error)})", "the record of a run") from None
 
 
-def _rows(data: bytes, row: np.dtype[Any]) -> NDArray[Any]:
-    """(n,) rows; none of an array without columns, such as the covariance of no landmarks."""
+def _value(data: bytes, row: np.dtype[Any] | None) -> Any:
+    """A value of JSON, or (n,) rows; none of an array without columns, such as the covariance of no landmarks."""
+    if row is None:
+        return json.loads(data)
     return np.frombuffer(data, row) if row.itemsize else np.zeros(0, row)
 
 
-def _row_type(columns: Sequence[tuple[str, str, Sequence[int]]]) -> np.dtype[Any]:
-    """NumPy's type of a row, from a schema."""
-    types = [(str(name), np.dtype(kind), tuple(shape)) for name, kind, shape in columns]
+def _row_type(schema: bytes) -> np.dtype[Any]:
+    """NumPy's type of a row."""
+    types = [(str(name), np.dtype(kind), tuple(shape)) for name, kind, shape in json.loads(schema)]
     if any(kind.kind not in "fiub" for _, kind, _ in types):
         raise ValueError("a column that has no numbers")
-    if types[0][0] == "":
-        return np.dtype(types[0][1:])
-    return np.dtype(types)
+    return np.dtype(types[0][1:] if types[0][0] == "" else types)

@@ -18,17 +18,13 @@ def matched(stamps_s: ArrayLike, wanted_s: ArrayLike) -> NDArray[np.int64]:
 
     `stamps_s` (N,) seconds in any order, `wanted_s` of any shape. The period is the median time between stamps.
     """
-    stamps, wanted = np.asarray(stamps_s, dtype=np.float64), np.asarray(wanted_s, dtype=np.float64)
-    if not len(stamps):
-        return np.full(wanted.shape, -1)
-    order = np.argsort(stamps, kind="stable")
-    ordered, firsts = np.unique(stamps[order], return_index=True)
-    period_s = float(np.median(np.diff(ordered))) if len(ordered) > 1 else 0.0
-    after = np.clip(np.searchsorted(ordered, wanted), 1, max(len(ordered) - 1, 1))
-    before, after = after - 1, np.minimum(after, len(ordered) - 1)
-    nearest = np.where(wanted - ordered[before] <= ordered[after] - wanted, before, after)
-    is_near = np.abs(ordered[nearest] - wanted) <= max(0.5 * period_s, _EXACT_S)
-    return np.where(is_near, order[firsts][nearest], -1)
+    import pandas as pd  # here, since it takes a while to load
+
+    wanted = np.asarray(wanted_s, dtype=np.float64)
+    ordered, firsts = np.unique(np.asarray(stamps_s, dtype=np.float64), return_index=True)
+    half_s = 0.5 * float(np.median(np.diff(ordered))) if len(ordered) > 1 else 0.0
+    rows = pd.Index(ordered).get_indexer(wanted.ravel(), method="nearest", tolerance=max(half_s, _EXACT_S))
+    return np.asarray(np.append(firsts, -1)[rows].reshape(wanted.shape))
 
 
 def ascending(stamps_ns: ArrayLike) -> NDArray[np.int64]:

@@ -9,25 +9,23 @@ import re
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
-from io import BufferedReader
+from decimal import Decimal
 from pathlib import Path
-from typing import IO, NamedTuple, NoReturn, cast
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, reason_of
 from sixthsense.core.geometry import Array
-from sixthsense.logs.stamps import unit_of
 
 LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # which editors of Windows put first
 _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 26, 200
-"""bytes that a compressed file may hold; text of numbers compresses to a tenth, hardly to a hundredth"""
-_LFS = b"version https://git-lfs"
+"""bytes that a file may hold; text of numbers compresses to a tenth, hardly to a hundredth"""
+_OPENERS: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
+"""by the first bytes of a compressed file"""
 
 
 def check_regular(path: Path) -> None:
@@ -52,32 +50,28 @@ class Record:
         """Raise InputError with file and line."""
         raise InputError(f"{self.path} line {self.line}", what)
 
-    def numbers(self, fields: Sequence[bytes], largest: float = LARGEST) -> Array:
-        """(len(fields),) finite numbers, up to `largest` in magnitude."""
-        values = self.parsed(fields)
-        bad = np.flatnonzero(~(np.abs(values) <= largest))
+    def numbers(self, fields: Sequence[bytes], largest: float | None = LARGEST) -> Array:
+        """(len(fields),) finite numbers, up to `largest` in magnitude; without a limit also NaN and infinity."""
+        try:
+            values = np.array(fields, dtype=np.float64)
+        except ValueError:
+            values = np.array([self._number(field) for field in fields])
+        bad = np.flatnonzero(~(np.abs(values) <= largest)) if largest is not None else np.zeros(0, np.int64)
         if len(bad):
             self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {largest:.0e}")
         return values
 
-    def parsed(self, fields: Sequence[bytes]) -> Array:
-        """(len(fields),) numbers, NaN and infinity included."""
+    def _number(self, field: bytes) -> float:
         try:
-            return np.array(fields, dtype=np.float64)
+            return float(field)
         except ValueError:
-            field = next(field for field in fields if not _is_number(field))
             comma = " with a decimal comma" * bool(re.fullmatch(rb"[-+]?\d+,\d+", field))
             self.fail(f"found {shown(field)}{comma}, allowed: a number")
 
     def stamp_ns(self, field: bytes, parts: int = 1) -> int:
         """Nanoseconds of a stamp in `parts` of a second, from its decimal digits; a float would round to 0.1 us."""
-        try:
-            stamp = Decimal(field.decode("ascii", "replace")) / parts
-        except InvalidOperation:
-            stamp = Decimal("nan")
-        if not (stamp.is_finite() and abs(stamp) <= LAST_STAMP_S):
-            self.fail(f"found stamp {shown(field)}, allowed: {-LAST_STAMP_S} to {LAST_STAMP_S} s")
-        return round(stamp * 1_000_000_000)
+        self.numbers([field], LAST_STAMP_S * parts)
+        return round(Decimal(field.decode()) / parts * 1_000_000_000)
 
     def whole(self, column: int, name: str) -> int:
         """A whole number, an id or a count, of 32 bits."""
@@ -87,14 +81,6 @@ class Record:
         return int(field)
 
 
-def _is_number(field: bytes) -> bool:
-    try:
-        float(field)
-    except ValueError:
-        return False
-    return True
-
-
 def shown(field: bytes) -> str:
     """A field for an error message."""
     text = field.decode("ascii", "backslashreplace")
@@ -102,40 +88,42 @@ def shown(field: bytes) -> str:
 
 
 class Table(NamedTuple):
-    """Lines of numbers, the first of which is a stamp."""
+    """Lines of numbers, one of which is a stamp."""
 
-    records: list[Record]
+    header: Sequence[bytes]
+    """lines before those of numbers"""
+    records: Sequence[Record]
+    """(N,) lines"""
     numbers: Array
     """(N, columns)"""
 
-    def stamps_ns(self, notes: list[str] | None = None, column: int = 0) -> NDArray[np.int64]:
-        """(N,) stamps, nanoseconds, of a column in seconds; in another unit if they say so, with a note."""
-        parts, name = unit_of(self.numbers[:, column])
-        if parts > 1 and notes is not None:
-            largest = self.numbers[0, column]
-            notes.append(f"{self.records[0].path}: stamps as large as {largest:.0f} are taken as {name}")
+    def stamps_ns(self, column: int = 0, parts: int = 1) -> NDArray[np.int64]:
+        """(N,) stamps, nanoseconds, of a column in `parts` of a second."""
         return np.array([record.stamp_ns(record.fields[column], parts) for record in self.records], dtype=np.int64)
 
 
-def read_table(path: Path, columns: str) -> Table:
+def read_table(path: Path, columns: str = "") -> Table:
     """A line of numbers, separated by spaces, commas or semicolons, for each record; at least one.
 
-    Each line has a number for each word of `columns`. Raises InputError, naming the line, for any other line, and for
-    numbers that are not finite or beyond `LARGEST`.
+    Each line has a number for each word of `columns`, by default as many as the first one. Raises InputError, naming
+    the line, for any other line, and for numbers that are not finite.
     """
-    width = len(columns.split())
-    found = list(records(path, b",;"))
+    header: list[bytes] = []
+    found: list[Record] = []
+    for number, line in lines(path):
+        fields = words(line)
+        if not found and fields and not re.match(rb"[-+.0-9]|nan", fields[0]):
+            header.append(line)
+        elif fields and not fields[0].startswith(b"#"):
+            found.append(Record(path, number, fields))
     if not found:
-        raise InputError(path, "found no line of numbers", f"lines of {columns}")
-    return Table(found, np.array([numbers_of(record, width, columns) for record in found]))
-
-
-def numbers_of(record: Record, width: int, columns: str = "", largest: float = LARGEST) -> Array:
-    """(width,) the numbers of a line, up to `largest`; InputError, naming the line, for any other line."""
-    if (count := len(record.fields)) != width:
-        comma = ", are there decimal commas?" * (count == 2 * width)
-        record.fail(f"found {count} fields{comma}, allowed: {width} in every line{f' ({columns})' * bool(columns)}")
-    return record.numbers(record.fields, largest)
+        raise InputError(path, "found no line of numbers", f"lines of {columns or 'numbers'}")
+    width = len(columns.split() or found[0].fields)
+    for record in found:
+        if (count := len(record.fields)) != width:
+            comma = ", are there decimal commas?" * (count == 2 * width)
+            record.fail(f"found {count} fields{comma}, allowed: {width} in every line{' of ' * bool(columns)}{columns}")
+    return Table(header, found, np.array([record.numbers(record.fields, 1e9 * LAST_STAMP_S) for record in found]))
 
 
 def first_word(file: Path) -> bytes:
@@ -146,17 +134,17 @@ def first_word(file: Path) -> bytes:
         return b""
 
 
-def records(path: Path, separators: bytes = b"") -> Iterator[Record]:
-    """The lines of a file as words between spaces or separators; those that are blank or begin with # are skipped."""
+def records(path: Path) -> Iterator[Record]:
+    """The lines of a file as words between spaces; those that are blank or begin with # are skipped."""
     for number, line in lines(path):
-        fields = words(line, separators)
+        fields = line.split()
         if fields and not fields[0].startswith(b"#"):
             yield Record(path, number, fields)
 
 
-def words(line: bytes, separators: bytes) -> list[bytes]:
-    """What stands between spaces, or any of these separators."""
-    return line.translate(bytes.maketrans(separators, b" " * len(separators))).split()
+def words(line: bytes) -> list[bytes]:
+    """What stands between spaces, commas or semicolons."""
+    return line.translate(bytes.maketrans(b",;", b"  ")).split()
 
 
 def lines(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -165,34 +153,17 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
     try:
         check_regular(path)
         with path.open("rb") as raw:
-            stream = _decompressed(raw)
             left = _BASE_BUDGET + _BUDGET_PER_BYTE * path.stat().st_size
+            begin = raw.peek(6)
+            stream = next((opener(raw) for magic, opener in _OPENERS.items() if begin.startswith(magic)), raw)
             while line := stream.readline(LONGEST_LINE):
-                number += 1
-                left -= len(line) if stream is not raw else 0
-                if left < 0:
-                    raise InputError(path, "found far more text than a compressed log of this size holds", "a log")
-                if line.startswith(_LFS):
+                number, left = number + 1, left - len(line)
+                if left < 0 or len(line) == LONGEST_LINE:
+                    raise InputError(f"{path} line {number}", "found far more text than a log of this size holds")
+                if line.startswith(b"version https://git-lfs"):
                     raise InputError(path, "found a pointer of Git LFS", "the file itself, by `git lfs pull`")
-                if len(line) == LONGEST_LINE:
-                    raise InputError(f"{path} line {number}", f"found a line of over {LONGEST_LINE} bytes", "text")
-                yield number, line.removeprefix(_BYTE_ORDER_MARK)
+                yield number, line.removeprefix(b"\xef\xbb\xbf")  # which editors of Windows put first
     except FileNotFoundError:
         raise InputError(path, "no such file") from None
-    except EOFError:
-        raise InputError(path, f"is cut short, its compressed data ends after line {number}") from None
-    except (OSError, zlib.error, lzma.LZMAError) as error:
-        reason = (isinstance(error, OSError) and error.strerror) or f"damaged after line {number}: {error}"
-        raise InputError(path, f"cannot be read ({reason})") from None
-
-
-def _decompressed(raw: BufferedReader) -> IO[bytes]:
-    """The content of a file, by its first bytes: gzip, bzip2, xz, or as it is."""
-    magic = raw.peek(6)[:6]
-    if magic.startswith(b"\x1f\x8b"):
-        return cast(IO[bytes], gzip.GzipFile(fileobj=raw))
-    if magic.startswith(b"BZh"):
-        return bz2.BZ2File(raw)
-    if magic.startswith(b"\xfd7zXZ"):
-        return lzma.LZMAFile(raw)
-    return raw
+    except (EOFError, OSError, zlib.error, lzma.LZMAError) as error:
+        raise InputError(path, f"cannot be read after line {number} ({reason_of(error)})") from None

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
-from sixthsense.logs.text_lines import LAST_STAMP_S, Record, Table, lines, numbers_of, words
+from sixthsense.logs.stamps import unit_of
+from sixthsense.logs.text_lines import Table, read_table, words
 
-_SEPARATORS = b",;"
 _SPACE, _PLANE = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("x", "y", "theta")
 _FORMS = {8: _SPACE, 4: _PLANE}
 """columns behind the stamp by the number of all, where no header names them"""
@@ -28,87 +26,58 @@ def read_trajectory(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Ar
     """Stamps (N,), ns, and poses, (N, 7) x y z qx qy qz qw or (N, 3) x y theta; plain or compressed.
 
     Columns are those that a header names, as that of EuRoC, else those of TUM files, or stamp x y theta. Stamps are
-    seconds, or as large as those in a part of a second since 1970. Lines that cannot be used are left out. Both are
-    said in `notes`. Raises InputError, naming the line, for a file without a pose.
+    seconds, or as large as those in a part of a second since 1970, which is said in `notes`. Raises InputError, naming
+    the line, for one that has other numbers, and for a quaternion of zeros.
     """
-    header, table = _read(file, notes)
+    table = read_table(file)
     width = table.numbers.shape[1]
-    columns = _named(header, width)
+    columns = _named(table)
     if not columns and width not in _FORMS:
-        at = f"{file} line {table.records[0].line}"
-        raise InputError(at, f"found {width} fields{_HINTS.get(width, '')}", _ALLOWED)
+        table.records[0].fail(f"found {width} fields{_HINTS.get(width, '')}, allowed: {_ALLOWED}")
     form = _PLANE if "theta" in columns else _FORMS.get(width, _SPACE)
     stamp, *places = [columns.get(name, k) for k, name in enumerate(("stamp", *form))]
     values = table.numbers[:, places]
-    good = np.asarray(values[:, 3:].any(axis=1)) | (form is _PLANE)  # a rotation is no quaternion of zero
-    if not good.all():
-        notes.append(f"{file}: {np.count_nonzero(~good)} lines with a quaternion that is zero are left out")
-        table = Table(
-            [record for record, is_good in zip(table.records, good, strict=True) if is_good], table.numbers[good]
-        )
-    if not good.any():
-        raise InputError(f"{file}", "found quaternions that are zero in all lines", "rotations")
-    return table.stamps_ns(notes, stamp), values[good]
+    is_turned = values[:, 3:].any(axis=1)
+    if form is _SPACE and not is_turned.all():
+        table.records[int(np.argmin(is_turned))].fail("found a quaternion that is zero, allowed: a rotation")
+    return _stamps_ns(table, notes, stamp), values
 
 
 def read_covariances(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Array]:
     """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): in a line a stamp, and the upper triangle or all.
 
-    By rows: 6 or 9 numbers are of SE(2), 21 or 36 of SE(3). Stamps, lines that cannot be used and `notes` are as of
-    `read_trajectory`. Raises InputError, naming the line, for any other.
+    By rows: 6 or 9 numbers are of SE(2), 21 or 36 of SE(3). Stamps and `notes` are as of `read_trajectory`. Raises
+    InputError, naming the line, for any other.
     """
-    _, table = _read(file, notes)
+    table = read_table(file)
     values = table.numbers[:, 1:]
     if (count := values.shape[1]) not in _SIZES:
-        at = f"{file} line {table.records[0].line}"
-        raise InputError(at, f"found {count + 1} fields", "a stamp and 6, 9, 21 or 36 numbers of a covariance")
+        table.records[0].fail(f"found {count + 1} fields, allowed: a stamp and 6, 9, 21 or 36 numbers of a covariance")
     size = _SIZES[count]
-    if count == size * size:
-        return table.stamps_ns(notes), values.reshape(-1, size, size)
-    rows, columns = np.triu_indices(size)
+    rows, columns = np.indices((size, size)).reshape(2, -1) if count == size * size else np.triu_indices(size)
     covs = np.zeros((len(values), size, size))
-    covs[:, rows, columns] = covs[:, columns, rows] = values
-    return table.stamps_ns(notes), covs
+    covs[:, columns, rows] = covs[:, rows, columns] = values
+    return _stamps_ns(table, notes), covs
 
 
-def _read(file: Path, notes: list[str]) -> tuple[list[bytes], Table]:
-    """The lines before the first one of numbers, and the numbers of those after it that have as many as most.
-
-    Others are counted in a note. Raises InputError for a file without a line of numbers.
-    """
-    header: list[bytes] = []
-    found: list[Record] = []
-    for number, line in lines(file):
-        fields = words(line, _SEPARATORS)
-        if not found and fields and not re.match(rb"[-+.0-9]|nan", fields[0]):
-            header.append(line)
-        elif fields and not fields[0].startswith(b"#"):
-            found.append(Record(file, number, fields))
-    widths = [len(record.fields) for record in found]
-    refused, good, rows = [], [], []
-    for record in found:
-        try:
-            rows.append(numbers_of(record, max(widths, key=widths.count), largest=1e9 * LAST_STAMP_S))
-            good.append(record)
-        except InputError as error:
-            refused.append(str(error.at(error.where.removeprefix(f"{file} "))))
-    if not good:
-        raise InputError("", f"{file} {refused[0]}" if refused else f"{file}: found no line of numbers")
-    if refused:
-        notes.append(f"{file}: {len(refused)} of {len(found)} lines left out, the first: {refused[0]}")
-    return header, Table(good, np.array(rows))
+def _stamps_ns(table: Table, notes: list[str], column: int = 0) -> NDArray[np.int64]:
+    """(N,) stamps, ns, of a column in seconds; in another unit if they say so, with a note."""
+    parts, name = unit_of(table.numbers[:, column])
+    if parts > 1:
+        notes.append(f"{table.records[0].path}: stamps as large as {table.numbers[0, column]:.0f} are taken as {name}")
+    return table.stamps_ns(column, parts)
 
 
-def _named(header: Sequence[bytes], width: int) -> dict[str, int]:
+def _named(table: Table) -> dict[str, int]:
     """The column of each part of a pose, by the last line of a header with so many names; empty where none has them.
 
     EuRoC names q_RS_w and p_RS_R_x what others name qw and x.
     """
-    for line in reversed(header):
-        text = re.sub(rb"\[[^]]*\]", b"", line)
-        names = [name.decode("ascii", "replace") for name in words(text.lstrip(b"# ").lower(), _SEPARATORS)]
-        parts = [re.sub(r"^(?:(q)|p|t|pos|position)[a-z_.]*?_?([xyzw])$", r"\1\2", name) for name in names]
+    for line in reversed(table.header):
+        names = words(re.sub(rb"\[[^]]*\]", b"", line).lstrip(b"# ").lower())
+        short = r"^(?:(q)|p|t|pos|position)[a-z_.]*?_?([xyzw])$"
+        parts = [re.sub(short, r"\1\2", name.decode("ascii", "replace")) for name in names]
         columns = {_ALIASES.get(part, part): place for place, part in reversed(list(enumerate(parts)))}
-        if len(names) == width and any(columns.keys() >= set(form) for form in (_SPACE, _PLANE)):
+        if len(names) == table.numbers.shape[1] and any(columns.keys() >= {*form} for form in _FORMS.values()):
             return columns
     return {}

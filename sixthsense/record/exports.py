@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from sixthsense.core.covariance import landmark_covariances, root_information
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Observation
 from sixthsense.core.source import Tick
-from sixthsense.logs.runfolder import RunLog, read_run
+from sixthsense.logs.runfolder import FILE, Message, paths_of, read_messages, ticks_of
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
@@ -243,7 +243,7 @@ def write_bag(out: Path, run: Path, trace: Trace) -> None:
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    make, log = Messages(), read_run(run, trace.config.laser)
+    make, (recorded, _) = Messages(), read_messages(run / FILE)
     forever = QosTime(9_223_372_036, 854_775_807)
     # Transient local: subscribers that come later receive the mount, too.
     latched = Qos(
@@ -257,19 +257,19 @@ def write_bag(out: Path, run: Path, trace: Trace) -> None:
             )
             for topic, kind in TOPICS.items()
         }
-        for stamp_ns, topic, message in _messages(make, trace, log):
+        for stamp_ns, topic, message in _messages(make, trace, recorded):
             bag.write(channels[topic], stamp_ns, make.serialized(message, TOPICS[topic]))
 
 
-def _messages(make: Messages, trace: Trace, log: RunLog) -> list[Stamped]:
+def _messages(make: Messages, trace: Trace, recorded: Sequence[Message]) -> list[Stamped]:
     """All messages, in the order of their record times."""
-    begin_ns, keys = log.ticks[0].stamp_ns, zip(trace.key_stamps_ns, trace.key_estimates, strict=True)
-    mount = make.transform(begin_ns, ROBOT, LASER, Pose(*trace.config.laser.mount))
-    found: list[Stamped] = [(begin_ns, "/tf_static", mount)]
-    found += (message for tick in log.ticks for message in _of_tick(make, tick))
+    keys, mount = zip(trace.key_stamps_ns, trace.key_estimates, strict=True), Pose(*trace.config.laser.mount)
+    ticks = ticks_of(recorded, mount)
+    found: list[Stamped] = [(ticks[0].stamp_ns, "/tf_static", make.transform(ticks[0].stamp_ns, ROBOT, LASER, mount))]
+    found += (message for tick in ticks for message in _of_tick(make, tick))
     found += ((stamp_ns, "/estimate", make.estimate(stamp_ns, one.pose, one.pose_cov)) for stamp_ns, one in keys)
     for name in ("plan", "tour"):
-        found += ((stamp_ns, f"/{name}", make.path(stamp_ns, path)) for stamp_ns, path in log.paths(name))
+        found += ((stamp_ns, f"/{name}", make.path(stamp_ns, path)) for stamp_ns, path in paths_of(recorded, name))
     return sorted(found, key=lambda message: message[0])
 
 

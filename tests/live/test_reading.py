@@ -10,8 +10,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.live.reading import POSE, TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices
-from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.logs.transforms import TransformTree
+from sixthsense.logs.ros_messages import LASER_SCAN, ODOMETRY, TransformTree
 from sixthsense.record.messages import Messages
 
 MAKE = Messages()

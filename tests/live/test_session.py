@@ -20,8 +20,7 @@ from sixthsense.live.network import SENSOR, Message, Network, Node
 from sixthsense.live.reading import POSE, TWIST, MessageReader
 from sixthsense.live.session import Session, Topics, check_drive
 from sixthsense.live.simulated import SimulatedRobot
-from sixthsense.logs.ros_messages import stamp_ns
-from sixthsense.logs.transforms import TransformTree
+from sixthsense.logs.ros_messages import TransformTree, stamp_ns
 from sixthsense.record.messages import Messages
 from sixthsense.simulation.scene import load_scene
 from sixthsense.simulation.world import World

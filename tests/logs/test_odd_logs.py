@@ -66,7 +66,7 @@ READ = {
     "range_max 0": ({"scan": at(every, "high", 0.0)}, 60, ("assumed_range",)),
     "scans 37 s ahead": ({"late_s": 37.0}, 60, ("clocks",)),
     "scans 0.3 s ahead": ({"late_s": 0.3}, 60, ("clocks",)),
-    "no stamps": ({"scan": at(every, "stamp_ns", 0)}, 60, ()),
+    "no stamps": ({"scan": at(every, "stamp_ns", 0)}, 60, ("stamps_of_recording",)),
     "one stamp": ({"scan": at(every, "stamp_ns", T0_NS)}, 60, ("stamps_of_recording", "stamps")),
     "echoes": ({"echo": True}, 60, ()),
     "sqlite": ({"kind": "sqlite"}, 60, ()),
@@ -104,12 +104,6 @@ REFUSED = {
     "no scans": ({"scan": lambda n, says: None}, "but /odom (Odometry)"),
     "no return": ({"scan": at(every, "ranges", NAN)}, "found no return in 60 scans"),
     "no scan of any use": ({"scan": at(every, "count", 1)}, "found a scan of 1 ranges, allowed: 2 to"),
-    "two clocks": (
-        {"late_s": 80.0, "seconds": 3.0, "odom": at(every, "pose", lambda n: Pose(0.01 * n, 0.1, 0.4))},
-        "share no time: scans from 1700000080."),
-    "two robots in /tf": (
-        {"odom_in_tf": True, "links": (("tf", "odom", "other", Pose(1.0)), ("tf", "map", "base_footprint", MOUNT))},
-        "`odometry_frames` PARENT,CHILD"),
 }  # fmt: skip
 
 

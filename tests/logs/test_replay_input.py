@@ -59,7 +59,7 @@ OPTIONS = [
     ({"laser": {"mount": (0.2, 0.3, 0.4)}}, LogSelection(), "laser.mount", {"carmen", "run", "bag"}),
     ({"robot": {"speed": 0.3}}, LogSelection(), "robot.speed", set()),
     ({"robot": {"radius": 0.3}}, LogSelection(), "robot.radius", {"carmen", "graph", "run", "bag", "mrclam"}),
-    ({"world": {"walkers": 3}}, LogSelection(), "world", set()),
+    ({"world": {"walkers": 3}}, LogSelection(), "world.walkers", set()),
 ]  # fmt: skip
 
 

@@ -16,12 +16,13 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from sixthsense.config import AssumedConfig, LaserConfig, merge
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.logs import open_log
-from sixthsense.logs.bag_file import read_poses
 from sixthsense.logs.log import read_relations
 from sixthsense.logs.mrclam import true_landmarks
 from sixthsense.logs.ros_messages import spatial_covariance
+from sixthsense.logs.rosbag import read_poses
 from sixthsense.logs.trajectories import read_covariances, read_trajectory
 from sixthsense.record.exports import write_map
 from sixthsense.simulation.scene import load_scene
@@ -130,23 +131,37 @@ def test_a_planar_covariance_stands_at_x_y_and_yaw_of_six_and_comes_back(cov):
 
 @few
 @given(poses, poses, tilts, poses)
-def test_odometry_of_two_frames_of_tf_is_the_product_with_the_constant_frames_between(before, moving, tilted, after):
-    links = [matrix(p.x, p.y, 0.3, turned(p.theta, tilted)) for p in (before, moving, after)]
-    names, product = ("world", "odom", "wheels", "base"), links[0] @ links[1] @ links[2]
+def test_odometry_in_tf_is_the_pair_that_is_named_or_the_only_one_that_moves_the_laser(world, moving, tilted, mount):
+    """Beside the wheels' own transform another one moves that a map corrects, and one of another robot."""
+    turn = turned(moving.theta, tilted)
     with Bag(Path(tempfile.mkdtemp()) / "x") as bag:
-        for k in (0, 2):
-            place, turn = links[k][:3, 3], tuple(Rotation.from_matrix(links[k][:3, :3]).as_quat())
-            bag.transform(names[k], names[k + 1], Pose(*place[:2]), turn, up=float(place[2]))
-        turn = tuple(Rotation.from_matrix(links[1][:3, :3]).as_quat())
+        bag.transform("base", "laser", mount)
         for k in range(3):
-            shift = Pose(moving.x + 0.1 * k, moving.y)
-            bag.transform("odom", "wheels", shift, turn, up=0.3, stamp_ns=BEGAN + k * S // 10)
-            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5], frame="base")
-    log = open_log(bag.path, LaserConfig(), odometry_frames=("world", "base"))
-    (x, y), yaw = product[:2, 3], math.atan2(product[1, 0], product[0, 0])
-    close(log.ticks[0].odometry, Pose(x, y, yaw))
-    ahead = links[0][:2, 0] * 0.2
-    close(log.ticks[-1].odometry, Pose(x + ahead[0], y + ahead[1], yaw))
+            ahead = Pose(moving.x + 0.1 * k, moving.y)
+            bag.transform("odom", "base", ahead, turn, stamp_ns=BEGAN + k * S // 10)
+            bag.transform("map", "odom", Pose(world.x, world.y + k), stamp_ns=BEGAN + k * S // 10)
+            bag.transform("odom", "other", Pose(k), stamp_ns=BEGAN + k * S // 10)
+            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5])
+    (x, y), yaw = moving.position, Rotation.from_quat(turn).as_matrix()
+    for frames in ((), ("odom", "base")):
+        log = open_log(bag.path, LaserConfig(), odometry_frames=frames)
+        close(log.ticks[0].odometry, Pose(x, y, math.atan2(yaw[1, 0], yaw[0, 0])))
+        close(log.ticks[-1].odometry, Pose(x + 0.2, y, math.atan2(yaw[1, 0], yaw[0, 0])))
+        close(log.scans[0].T_robot_laser, mount)
+    log = open_log(bag.path, LaserConfig(), odometry_frames=("map", "odom"))
+    assert log.ticks[-1].odometry.position == pytest.approx((world.x, world.y + 2.0))
+
+
+def test_odometry_in_tf_that_is_not_clear_is_asked(tmp_path):
+    with Bag(tmp_path / "x") as bag:
+        for k in range(3):
+            for robot in ("a", "b"):
+                bag.transform("odom", robot, Pose(0.1 * k), stamp_ns=BEGAN + k * S // 10)
+            bag.scan(BEGAN + k * S // 10, [2.5, 3.5, 4.5])
+    with pytest.raises(InputError, match=r"found odom -> a and odom -> b, allowed: .* `odometry_frames` PARENT,CHILD"):
+        open_log(bag.path)
+    with pytest.raises(InputError, match=r"found odom -> c, .*: odom -> a, odom -> b"):
+        open_log(bag.path, odometry_frames=("odom", "c"))
 
 
 @few
@@ -230,48 +245,27 @@ def test_a_mrclam_folder_gives_the_way_the_truth_and_landmarks_by_depth_bearing_
 # --- maps
 
 
-def a_map(folder: Path, pixels: np.ndarray, origin: str, **fields: object) -> Path:
-    Image.fromarray(np.asarray(pixels, dtype=np.uint8)).save(folder / "m.pgm")
-    table = {"image": "m.pgm", "resolution": 0.15, "origin": origin, "negate": 0, **fields}
-    table = {"occupied_thresh": 0.65, "free_thresh": 0.25, **table}
-    (folder / "m.yaml").write_text("".join(f"{k}: {v}\n" for k, v in table.items()))
-    return folder / "m.yaml"
-
-
-def corners(walls: np.ndarray) -> set[tuple[float, ...]]:
-    return {tuple(np.round(end, 6).tolist()) for wall in walls for end in wall}
-
-
-def rectangle(rows: tuple[int, int], cols: tuple[int, int], height: int) -> np.ndarray:
-    """Its corners from the lower left of the map, in cells."""
-    low, high = height - rows[1], height - rows[0]
-    return np.array([(x, y) for x in cols for y in (low, high)], dtype=float)
-
-
 @few
-@given(poses, st.integers(1, 4), st.integers(1, 6), st.floats(0.05, 0.4), st.sampled_from(["0", "1", "true", "false"]))
-def test_a_map_is_a_scene_with_its_origin_yaw_resolution_and_shape(origin, row, col, resolution, negate):
-    pixels = np.full((11, 17), 254)
+@given(poses, st.integers(1, 4), st.integers(1, 6), st.floats(0.05, 0.4), st.booleans())
+def test_a_map_is_a_scene_with_its_origin_yaw_resolution_and_shape(origin, row, col, cell_m, negate):
+    pixels = np.full((11, 17), 254, np.uint8)
     pixels[row : row + 4, col : col + 7] = 0
-    pixels = 255 - pixels if negate in ("1", "true") else pixels
-    with tempfile.TemporaryDirectory() as folder:
-        file = a_map(Path(folder), pixels, [origin.x, origin.y, origin.theta], resolution=resolution, negate=negate)
-        scene = load_scene(file)
-    expected = origin @ (resolution * rectangle((row, row + 4), (col, col + 7), 11))
-    assert np.sort(np.unique(scene.walls.reshape(-1, 2).round(6), axis=0), axis=0) == pytest.approx(
-        np.sort(np.unique(expected.round(6), axis=0), axis=0), abs=2e-6
-    )
-    # The solid is on the left of each wall.
-    along = scene.walls[:, 1] - scene.walls[:, 0]
-    to_centre = expected.mean(axis=0) - scene.walls[:, 0]
+    file = written("m.yaml", f"image: m.pgm\nresolution: {cell_m}\norigin: {origin.array().tolist()}\n"
+        f"negate: {int(negate)}\noccupied_thresh: 0.65\nfree_thresh: 0.25\n")  # fmt: skip
+    Image.fromarray(255 - pixels if negate else pixels).save(file.parent / "m.pgm")
+    walls = load_scene(file).walls
+    corners = np.array([(x, y) for x in (col, col + 7) for y in (7 - row, 11 - row)], dtype=float)
+    expected = origin @ (cell_m * corners)
+    found = np.unique(walls.reshape(-1, 2).round(6), axis=0)
+    assert np.sort(found, axis=0) == pytest.approx(np.sort(np.unique(expected.round(6), axis=0), axis=0), abs=2e-6)
+    along, to_centre = walls[:, 1] - walls[:, 0], expected.mean(axis=0) - walls[:, 0]  # the solid is on the left
     assert (along[:, 0] * to_centre[:, 1] - along[:, 1] * to_centre[:, 0] > 0.0).all()
 
 
 def test_a_map_that_a_run_writes_is_a_scene_at_the_same_place(tmp_path):
     cells = np.full((9, 14), -1, dtype=np.int8)
-    cells[2:8, 3:12] = 0
-    cells[3:5, 4:9] = 100
+    cells[2:8, 3:12], cells[3:5, 4:9] = 0, 100
     write_map(tmp_path, cells, (-1.5, 2.5), 0.15)
-    scene = load_scene(tmp_path / "map.yaml", "free")
+    ends = load_scene(tmp_path / "map.yaml", "free").walls.reshape(-1, 2).round(6)
     expected = np.array([-1.5, 2.5]) + 0.15 * np.array([(x, y) for x in (4, 9) for y in (3, 5)])
-    assert corners(scene.walls) == {tuple(np.round(end, 6).tolist()) for end in expected}
+    assert {*map(tuple, ends.tolist())} == {*map(tuple, expected.round(6).tolist())}

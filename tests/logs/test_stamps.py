@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sixthsense.logs.joining import Odometry
+from sixthsense.logs.log import Odometry
 from sixthsense.logs.stamps import ascending, matched, passed_s, unit_of
 
 
@@ -20,16 +20,13 @@ def test_a_stamp_matches_the_nearest_one_within_half_a_period():
     assert matched([5.0], [5.0, 5.1]).tolist() == [0, -1] and matched([], [1.0]).tolist() == [-1]
 
 
-@pytest.mark.parametrize(("stamps_s", "expected"), [
-    ([1.0, 1.3, 1.7], [0.3, 0.4]), ([1.0, 1.0, 1.6, 2.0], [0.3, 0.3, 0.4]), ([1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 1.0]),
-    ([7.0, 7.0, 7.0], [np.inf, np.inf]),
-])  # fmt: skip
-def test_records_that_share_a_stamp_are_spread_up_to_the_next_one(stamps_s, expected):
-    assert passed_s(np.round(1e9 * np.array(stamps_s)).astype(np.int64)) == pytest.approx(expected)
-
-
-def test_stamps_ascend_and_are_of_the_unit_that_makes_them_recent():
+def test_stamps_ascend_are_spread_where_they_are_shared_and_are_of_the_unit_that_makes_them_recent():
     assert ascending([7, 9, 3, 4, 30]).tolist() == [7, 9, 10, 11, 30]
+    for stamps_s, expected in (
+        ([1.0, 1.3, 1.7], [0.3, 0.4]), ([1.0, 1.0, 1.6, 2.0], [0.3, 0.3, 0.4]),
+        ([1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 1.0]), ([7.0, 7.0, 7.0], [np.inf, np.inf]),
+    ):  # fmt: skip
+        assert passed_s(np.round(1e9 * np.array(stamps_s)).astype(np.int64)) == pytest.approx(expected)
     for stamp, name in ((1.7e9, "seconds"), (3.0, "seconds"), (1.7e12, "milliseconds"), (1.7e18, "nanoseconds")):
         assert unit_of(np.array([stamp, 1.01 * stamp]))[1] == name
 
