@@ -38,8 +38,8 @@ class KnownPlaces:
         """scans that places are around, of each of which the submap is complete"""
         self._looks: list[Array] = []
         """what the places around them look like"""
-        self._submaps: dict[tuple[int, float], Pyramid] = {}
-        """by an anchor, and what its points were limited to"""
+        self._submaps: dict[tuple[int, float, int], Pyramid] = {}
+        """by an anchor, what its points were limited to, and the number of its scans"""
         self._rows = np.zeros(0, dtype=np.int64)
         """places that are sought among"""
         self._past, self._known = 0, self._rows
@@ -81,16 +81,16 @@ class KnownPlaces:
 
         A robot that comes the other way sees what lay behind it.
         """
-        which = int(self.keys[place]), range_m
+        keys, at = self._around(self.keys[place], HALF_M + RECENT_M)
+        which = int(self.keys[place]), range_m, len(keys)  # there are more while the robot drives on from there
         if which not in self._submaps:
             if len(self._submaps) == _MOST_SUBMAPS:
                 self.forget()
-            keys, at = self._around(which[0], HALF_M + RECENT_M)
             found = surfaces(self._scans.store.returns, keys, at, range_m)
             self._submaps[which] = pyramid(np.ascontiguousarray(found[:, :2]))
         return self._submaps[which]
 
-    def _around(self, anchor: int, half_m: float) -> tuple[NDArray[np.int64], Array]:
+    def _around(self, anchor: int | np.int64, half_m: float) -> tuple[NDArray[np.int64], Array]:
         """Scans of the way around an anchor, and their poses in its frame."""
         travelled_m = self._scans.travelled_m[: self._past]
         keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < half_m)

@@ -11,6 +11,7 @@ from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.se2 import between
 from sixthsense.slam.scans.graph import ScanGraph, overlapping
+from sixthsense.slam.scans.known_places import KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import Candidate, Evidence, Votes, evidence_of
 from sixthsense.slam.slam import Slam
@@ -167,3 +168,15 @@ def test_a_place_is_believed_once_votes_some_metres_apart_agree_that_are_more_th
     assert vote(7, there, pairs.rows(np.array([1, 2]))) == 0  # of one scan alone
     assert [vote(7, there), vote(8, there), vote(9, elsewhere), vote(10, there)] == [0, 0, 0, 3]
     assert vote(11, there) == 0  # those of before have been counted
+
+
+def test_a_place_has_what_was_seen_after_it_was_looked_into_first():
+    near = LaserConfig(beams=181, fov=math.pi, max_range=4.0)
+    graph = graph_of([Pose(x, 1.1, 0.0) for x in np.arange(1.0, 18.0, 0.4)], corridor(), near)
+    places, fresh, every = KnownPlaces(graph), KnownPlaces(graph), np.arange(graph.count)
+    places.seek(every[:16], every[:16])
+    before = places.submap(0, 12.0)
+    for each in (places, fresh):
+        each.seek(every, every)
+    now, expected = places.submap(0, 12.0), fresh.submap(0, 12.0)
+    assert np.array_equal(now.values, expected.values) and now.values.sum() > 1.2 * before.values.sum()
