@@ -166,7 +166,7 @@ def readable(file: Path) -> Iterator[None]:
     except FileNotFoundError:
         raise InputError(file, "no such file", "the folder of a run of this version") from None
     except Exception as error:  # a message with a valid checksum may still be invalid
-        raise InputError(file, f"cannot be read ({reason_of(error)})", "the record of a run") from None
+        raise InputError(file, f"found {reason_of(error)}", "the record of a run") from None
 
 
 def _value(data: bytes, row: np.dtype[Any] | None) -> Any:
