@@ -24,9 +24,11 @@ from sixthsense.running.runs import RunHooks, replay_log
 from sixthsense.slam.prior_map import KeyScans
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
+from sixthsense.verdict.evidence import contradicted_between
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
 _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
+_MOST_CONTRADICTED = 0.07  # share beyond that within a run; 0.03 where two cupboards were moved by a metre meanwhile
 _PAUSE_NS = 1_000_000_000  # between the runs, where the second was recorded earlier
 
 _log = logging.getLogger(__name__)
@@ -98,6 +100,10 @@ def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> 
             raise InputError("merge", found, "two runs that share a part of one building")
         if trace.verdict is not None and trace.verdict.level == "broken":
             raise InputError("merge", f"found a map that is {trace.verdict} ({links:,} links)", "runs that agree")
+        between, own = contradicted_between(trace.witnesses(), int(first))
+        if between - own > _MOST_CONTRADICTED:
+            found = f"found that {between:.0%} of what one run saw the other contradicts, and itself {own:.0%}"
+            raise InputError("merge", found, "two runs in one building, not in one and its mirror image")
         _log.info(f"note: {links:,} links join both runs")
 
     try:

@@ -34,13 +34,13 @@ class Evidence(NamedTuple):
     returns: Array
     """(K,) returns of the scan"""
     recent: Array
-    """(K, 4) returns that scans of the last 10 m have judged: confirmed, seen through, of these drawn twice, and all"""
+    """(K, 3) returns that scans of the last 10 m have judged: confirmed, seen through, and all"""
     cut: Array
     """(K,) share of contradicted returns between the scans right before a keyframe and those from it on"""
     overlap: Array
     """(K,) share of the scan's returns that one of the scans before confirms, the best of them"""
     old: Array
-    """(K, 4) the same of scans of other passes"""
+    """(K, 3) the same of scans of other passes"""
     wheels: Disagreement
     links: Array
     """(K,) links that hold the keyframe and those after it to those before; matched landmarks where these are used"""
@@ -52,7 +52,7 @@ class Evidence(NamedTuple):
     old_pairs: NDArray[np.int64]
     """(m, 2) keyframes of two passes that were compared"""
     old_found: NDArray[np.int64]
-    """(m, 4) what of their returns was judged"""
+    """(m, 3) what of their returns was judged"""
 
 
 def evidence_of(found: Witnesses) -> Evidence:
@@ -63,10 +63,10 @@ def evidence_of(found: Witnesses) -> Evidence:
     wheels = None if found.wheels is None or not len(rows) else found.wheels[rows]
     measured = found.is_measured & (found.keys >= 0)
     off = by_wheels.disagreement(wheels, found.trajectory, measured)
-    recent, old = (np.full((count, 4), np.nan) for _ in range(2))
+    recent, old = (np.full((count, 3), np.nan) for _ in range(2))
     cut, overlap = (np.full(count, np.nan) for _ in range(2))
     returns, seen = np.full(count, np.nan), None
-    pairs, by_pair = np.zeros((0, 2), np.int64), np.zeros((0, 4), np.int64)
+    pairs, by_pair = np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
     if found.scans:
         views = by_scans.views_of(found.scans)
         returns = views.returns.astype(np.float64)
@@ -83,6 +83,19 @@ def evidence_of(found: Witnesses) -> Evidence:
         at, travel, returns, recent, cut, overlap, old, off, _ties(found, count),
         seen, by_wheels.mount(off), by_wheels.turns(off), late, found.closures, pairs, by_pair,
     )  # fmt: skip
+
+
+def contradicted_between(found: Witnesses, first: int) -> tuple[float, float]:
+    """Share of what is judged that the scans before keyframe `first` and those from it on contradict of each other.
+
+    And the same share of each of both alone. Both are 0 where nothing is judged.
+    """
+    travel = by_scans.travelled(found.trajectory)
+    pairs = np.concatenate([by_scans.recent_pairs(travel), by_scans.old_pairs(found.trajectory, travel)])
+    judged = by_scans.compared(by_scans.views_of(found.scans), found.trajectory, pairs)
+    joins = (pairs < first).sum(axis=1) == 1
+    between, own = (share(judged[which].sum(axis=0)[None].astype(np.float64))[0] for which in (joins, ~joins))
+    return float(np.nan_to_num(between)), float(np.nan_to_num(own))
 
 
 def _cuts(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
@@ -121,10 +134,10 @@ def _overlaps(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) ->
 
 
 def _by_keyframe(keyframes: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
-    """(K, 4) what was found of pairs (m, 4), added up for the keyframes (m, n) that each is of."""
-    out = np.zeros((count, 4))
+    """(K, 3) what was found of pairs (m, 3), added up for the keyframes (m, n) that each is of."""
+    out = np.zeros((count, 3))
     for column in keyframes.T:
-        for part in range(4):
+        for part in range(3):
             out[:, part] += np.bincount(column, weights=found[:, part], minlength=count)
     return out
 
@@ -138,13 +151,13 @@ def _ties(found: Witnesses, count: int) -> Array:
     return np.full(count, np.nan) if found.matched is None else found.matched.astype(np.float64)
 
 
-def share(found: Array, column: int = THROUGH) -> Array:
-    """(n,) share of what is judged that is contradicted, or drawn twice; NaN where nothing is judged.
+def share(found: Array) -> Array:
+    """(n,) share of what is judged that is contradicted; NaN where nothing is judged.
 
     A few returns tell little: as many as `FEWEST` that nothing contradicts are known before.
     """
     judged = found[:, SURFACE] + found[:, THROUGH]
-    return np.where(judged > 0.0, found[:, column] / (judged + FEWEST), np.nan)
+    return np.where(judged > 0.0, found[:, THROUGH] / (judged + FEWEST), np.nan)
 
 
 def over_window(values: Array, travel: Array) -> Array:

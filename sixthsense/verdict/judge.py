@@ -9,7 +9,7 @@ from sixthsense.verdict.causes import causes_of, remarks_of
 from sixthsense.verdict.evidence import Evidence, evidence_of, share
 from sixthsense.verdict.probability import FEATURES
 from sixthsense.verdict.verdict import Level, Verdict
-from sixthsense.verdict.views import FEWEST, SURFACE, THROUGH, TWICE
+from sixthsense.verdict.views import FEWEST, SURFACE, THROUGH
 from sixthsense.verdict.witnesses import Witnesses
 
 DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
@@ -58,11 +58,7 @@ def _numbers(evidence: Evidence) -> dict[str, float]:
     """What is known of a run, by the keys of its metrics."""
     numbers: dict[str, float] = {}
     for name, found in (("recent", evidence.recent), ("old", evidence.old)):
-        total = np.nansum(found, axis=0)[None]
-        numbers[f"verdict_contradicted_{name}"] = share(total, THROUGH)[0]
-        numbers[f"verdict_twice_{name}"] = share(total, TWICE)[0]
-    if evidence.turns is not None:
-        numbers["verdict_turn_slope"] = evidence.turns.slope
+        numbers[f"verdict_contradicted_{name}"] = share(np.nansum(found, axis=0)[None])[0]
     if evidence.mount is not None:
         numbers |= {f"verdict_mount_{axis}": evidence.mount.offset[k] for k, axis in enumerate(_MOUNT)}
     if evidence.lag is not None:

@@ -1,7 +1,7 @@
 """What the scans of keyframes say of each other: seen, seen through, or nothing.
 
 A return of one scan is confirmed by another scan that saw a surface there, and contradicted by one that saw through its
-place. It is contradicted closely if that scan has met a wall a little farther away: the wall is drawn twice.
+place.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ RETURNS = 60
 FEWEST = 15
 """returns that must be judged for a comparison to say anything"""
 _SURFACE_M, _M_PER_M = 0.12, 0.01  # a return is on a surface nearer than this, and what the heading adds per metre
-_TWICE_M = 0.6  # a wall this much farther away is the same one, drawn twice
 BACK_M = (2.0, 5.0, 10.0)
 """travel before a keyframe at which keyframes lie that it is compared with"""
 NEXT = 3
@@ -32,8 +31,8 @@ _AROUND_M, _AROUND, _PASSES = 4.0, 40, 4  # how near places of other passes are,
 APART_M = 10.0
 """of travel between two passes of one place"""
 
-SURFACE, THROUGH, TWICE, ALL = range(4)
-"""columns of a comparison; what is seen through includes what is drawn twice"""
+SURFACE, THROUGH, ALL = range(3)
+"""columns of a comparison"""
 
 
 class Views(NamedTuple):
@@ -78,9 +77,9 @@ def views_of(scans: Sequence[Scan | None]) -> Views:
 
 
 def compared(views: Views, poses: Array, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(m, 4) returns of both keyframes of `pairs` (m, 2) that the other has judged; `poses` (K, 3) of the robot."""
+    """(m, 3) returns of both keyframes of `pairs` (m, 2) that the other has judged; `poses` (K, 3) of the robot."""
     if not len(pairs):
-        return np.zeros((0, 4), np.int64)
+        return np.zeros((0, 3), np.int64)
     lasers = compose(poses, views.mounts)
     both = (pairs, pairs[:, ::-1])
     there, back = (compared_at(views, each, between(*lasers[each.T])) for each in both)
@@ -88,8 +87,8 @@ def compared(views: Views, poses: Array, pairs: NDArray[np.int64]) -> NDArray[np
 
 
 def compared_at(views: Views, pairs: NDArray[np.int64], motions: Array) -> NDArray[np.int64]:
-    """(m, 4) returns of the second keyframes judged by the first, if the lasers moved by `motions` (m, 3)."""
-    found = np.zeros((len(pairs), 4), np.int64)
+    """(m, 3) returns of the second keyframes judged by the first, if the lasers moved by `motions` (m, 3)."""
+    found = np.zeros((len(pairs), 3), np.int64)
     _compare_all(views, np.ascontiguousarray(pairs), np.ascontiguousarray(motions), found)
     return found
 
@@ -105,14 +104,12 @@ def _compare_all(views: Views, pairs: NDArray[np.int64], motions: Array, found: 
             px, py = points[seen, k, 0], points[seen, k, 1]
             if not math.isfinite(px):
                 break
-            found[m, 3] += 1
+            found[m, ALL] += 1
             beyond = beyond_m(views, seer, motions[m, 0] + c * px - s * py, motions[m, 1] + s * px + c * py)
             if beyond == 0.0:
-                found[m, 0] += 1
+                found[m, SURFACE] += 1
             elif beyond > 0.0:
-                found[m, 1] += 1
-                if beyond < _TWICE_M:
-                    found[m, 2] += 1
+                found[m, THROUGH] += 1
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -19,8 +19,10 @@ from sixthsense.logs.runfolder import FILE, read_run
 from sixthsense.loop import interrupt
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.stream import RecordWriter
+from sixthsense.running import merging
 from sixthsense.running.merging import Merged, merged_log, replay_merged
 from sixthsense.running.runs import QUIET
+from sixthsense.verdict.evidence import contradicted_between
 from sixthsense.verdict.verdict import Cause
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -76,6 +78,11 @@ def test_both_runs_are_in_one_frame_and_the_folder_is_that_of_a_run(runs, here, 
     )))  # fmt: skip
     errors = np.array(both.trace.trajectory)[:, :2] - np.array(both.trace.key_truths)[:, :2]
     assert np.hypot(*errors.T).max() < 0.05
+    own, first = both.trace.witnesses(), len(monday.trace.trajectory)
+    between, alone = contradicted_between(own, first)
+    assert between == pytest.approx(alone, abs=0.02)
+    beside = own.trajectory + np.where(np.arange(len(own.trajectory))[:, None] < first, 0.0, [0.6, 0.0, 0.0])
+    assert contradicted_between(dataclasses.replace(own, trajectory=beside), first)[0] > alone + 0.1
     again = ss.replay("both", relations="r.txt", progress=False)
     assert again.trace.relations.stamps.tolist() == [[1.5, 5.5]] and again.metrics["relations_trans_m_mean"] > 0.0
     assert np.allclose(again.trace.trajectory, both.trace.trajectory, atol=1e-9)
@@ -135,6 +142,14 @@ def test_a_second_run_that_no_link_joins_to_the_first_is_refused_even_if_the_fir
     monkeypatch.setattr(interrupt._signals, "ctrl_c_s", -np.inf)
     press = dataclasses.replace(QUIET, on_tick=lambda tick, trace: len(trace.stamps_ns) == 5 and signal.raise_signal(2))
     assert replay_merged(joined(monday, recorded(runs / "other")), None, press).outcome == "interrupted"
+
+
+def test_runs_that_contradict_each_other_more_than_each_itself_are_refused(runs, here, monkeypatch):
+    monday = recorded(runs / "monday")
+    monkeypatch.setattr(merging, "contradicted_between", lambda found, first: (0.13, 0.01))
+    with RunFolder(here / "both", monday.config) as folder, pytest.raises(InputError, match=r"13% .* itself 1%, allow"):
+        replay_merged(joined(monday, monday), folder, QUIET)
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.parametrize(
