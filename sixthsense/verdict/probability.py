@@ -37,14 +37,10 @@ def keyframe_features(found: Evidence) -> Array:
     """(K, 7) of `FEATURES`: what is contradicted and what is not tied on each keyframe's last 10 m, and of the run."""
     travel, sigmas = found.travel, np.nan_to_num(found.wheels.sigmas) / (OFF_M, OFF_M, OFF_RAD)
     loose = np.clip(1.0 - np.nan_to_num(found.overlap, nan=1.0) / _OVERLAP, 0.0, 1.0)
-    recent, old = (_contradicted(sum_over_window(each, travel)) for each in (found.recent, found.old))
+    recent, old = (np.sqrt(np.nan_to_num(share(sum_over_window(each, travel)))) for each in (found.recent, found.old))
     untied = -np.expm1(-sum_over_window(loose * sigmas.max(axis=1), travel))
     own = np.stack([over_window(found.cut, travel), recent, untied, old], axis=1)
     return np.hstack([own, np.broadcast_to(run_features(found), (len(travel), len(OF_RUN)))])
-
-
-def _contradicted(found: Array) -> Array:
-    return np.asarray(np.sqrt(np.nan_to_num(share(found))))
 
 
 def run_features(found: Evidence) -> Array:
@@ -61,9 +57,13 @@ def run_features(found: Evidence) -> Array:
 
 
 def map_features(found: Evidence, keyframes: Array) -> Array:
-    """(7,) of `FEATURES`: the largest of the keyframes' (K, 7), and what other passes contradict in all."""
-    largest = keyframes.max(axis=0) if len(keyframes) else np.zeros(len(FEATURES))
-    largest[OF_KEYFRAMES.index("old")] = _contradicted(np.nan_to_num(found.old).sum(axis=0)[None])[0]
+    """(7,) of `FEATURES`: the largest of the keyframes' (K, 7), and what other passes contradict in all.
+
+    Beyond what scans of one pass contradict of each other: people and a bad laser are no evidence against walls.
+    """
+    largest = keyframes.max(axis=0, initial=0.0)
+    old, recent = (share(np.nansum(each, axis=0)[None])[0] for each in (found.old, found.recent))
+    largest[OF_KEYFRAMES.index("old")] = np.sqrt(np.fmax(old - recent, 0.0))
     return np.asarray(largest)
 
 

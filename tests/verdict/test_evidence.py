@@ -10,8 +10,9 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.verdict.disagreement import disagreement, lag, mount, turns
-from sixthsense.verdict.evidence import _cuts, over_window, share, sum_over_window
+from sixthsense.verdict.evidence import _cuts, evidence_of, over_window, share, sum_over_window
 from sixthsense.verdict.judge import judge
+from sixthsense.verdict.probability import FEATURES, map_features
 from sixthsense.verdict.views import (
     ALL,
     FEWEST,
@@ -198,6 +199,21 @@ def test_a_robot_that_stands_or_sees_little_is_not_judged_and_one_that_drives_an
     found = verdict(beams, step_m)
     assert found.level == "unjudged" and reason in found.reason
     assert verdict(61, 0.3).level == "good"
+
+
+@pytest.mark.parametrize(
+    ("recent", "old", "expected"), [(3.0, 3.0, 0.0), (0.0, 3.0, 0.3), (1.0, 2.0, 0.1), (3.0, 0.0, 0.0)]
+)
+def test_other_passes_are_evidence_beyond_what_one_pass_contradicts_of_itself(recent, old, expected):
+    """Of 12 keyframes, with 10 returns each that are judged, so many are seen through."""
+    poses = np.array([[0.3 * k, 0.1, 0.02] for k in range(12)])
+    own = evidence_of(Witnesses(np.arange(12) * 500_000_000, poses, None, np.arange(12), poses, poses[:, 0] > 0.0, ()))
+    judged = {
+        name: np.tile([10.0 - through, through, 20.0], (12, 1)) for name, through in (("recent", recent), ("old", old))
+    }
+    found = map_features(own._replace(**judged), np.zeros((12, len(FEATURES))))
+    assert found[FEATURES.index("old")] ** 2 == pytest.approx(expected * 120.0 / (120.0 + FEWEST), abs=1e-9)
+    assert np.count_nonzero(found) == (expected > 0.0)
 
 
 def test_a_front_end_that_the_verdict_is_not_fitted_to_is_named():

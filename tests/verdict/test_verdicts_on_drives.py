@@ -55,7 +55,7 @@ def test_a_mirrored_laser_is_told_with_the_time_in_which_the_robot_turns(front_e
 def test_a_mount_that_is_stated_wrongly_is_told_with_where_the_laser_is() -> None:
     verdict = replayed(mount_left()).verdict
     assert verdict is not None and verdict.level != "good" and verdict.cause == "mount"
-    told = re.search(r"([\d.]+) m farther left", str(verdict))
+    told = re.search(r"([+-][\d.]+) m to the left", str(verdict))
     assert told is not None and float(told[1]) == pytest.approx(0.31, abs=0.03)
 
 
