@@ -21,6 +21,7 @@ import interruptions
 import landmark_runs
 import live_network
 import log_runs
+import repetition
 import verdict
 import victoria_park
 from damaged_logs import DAMAGES
@@ -127,7 +128,7 @@ def speeds(setting: Setting, seed: int) -> Figures:
     return ms | {
         "raycast_over_peer": ms["raycast[peer]"] / ms["raycast[ours]"],
         "astar_over_peer": ms["astar[peer]"] / ms["astar[ours]"],
-        "update_passes": ms["update[1000]"] / ms["pass[1000]"],
+        "update_passes": ms["update[1000]"] / ms["pass"],
         "scan_ms": ms["extraction"] / 200, "insertion_ms": ms["map_insertion"] / 200,
     }  # fmt: skip
 
@@ -149,7 +150,7 @@ KINDS: dict[str, Kind] = {
         count=2, first=1, needs="{0}",
     ),
     "repetition": Kind(
-        log_runs.repetition, ("drive",), of(tuple(SCENES)),
+        repetition.drive_figures, ("drive",), of(tuple(SCENES)),
         (
             Column("false loop closures", "false sum", ".0f", "<= 0"),
             Column("closed, %", "closed / true", ".1f", ">= 0.8", 100.0),
@@ -158,7 +159,7 @@ KINDS: dict[str, Kind] = {
         count=2, first=1000,
     ),
     "scans": Kind(
-        log_runs.scans_alone, ("log", "motion by"),
+        log_runs.relations, ("log", "motion by"),
         [*itertools.product(("fr079", "intel", "aces"), ("odometry", "scans alone"))],
         OFF, needs="{0}",
     ),
@@ -297,22 +298,6 @@ KINDS: dict[str, Kind] = {
         tuple(
             Column(name.replace("_", " "), name, ".1f")
             for name in ("live_first", "robot_again", "live_again", "robot_first")
-        ),
-        alone=True,
-    ),
-    "gaps": Kind(
-        live_network.gaps, (), [()],
-        (
-            Column("poses", "poses", ".0f"), Column("gap p99, s", "gap_p99_s", ".3f"),
-            Column("largest, s", "gap_max_s", ".3f"),
-        ),
-        alone=True,
-    ),
-    "restarts": Kind(
-        live_network.restarts, (), [()],
-        (
-            Column("lost", "lost", ".0f", "<= 0"), Column("median, s", "median_s", ".1f"),
-            Column("longest, s", "longest_s", ".1f"),
         ),
         alone=True,
     ),

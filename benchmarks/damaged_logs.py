@@ -11,7 +11,6 @@ import itertools
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +35,8 @@ _PACE_M, _LEG_APART_M, _LEG_M, _LEG_SIGMA_M = 0.02, 0.15, 0.08, 0.02  # pace per
 _ROUGH_M, _ROUGH_SHARE, _LEAST_M = 0.03, 0.1, 0.05
 
 
-class DamagedLog(NamedTuple):
-    """A log and the relations that hold in it."""
-
-    log: Log
-    relations: Relations
-
-
-def damaged(name: str, log: Log, relations: Relations, seed: int) -> DamagedLog:
-    """The damage `name` of `DAMAGES` done to a log; relations without their scans are left out."""
+def damaged(name: str, log: Log, relations: Relations, seed: int) -> tuple[Log, Relations]:
+    """The damage `name` of `DAMAGES` done to a log, with the relations that hold in it and have their scans."""
     ticks = [tick for tick in log.ticks if tick.scan is not None]
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     laser, stamps, poses = log.laser, relations.stamps, relations.poses
@@ -57,7 +49,7 @@ def damaged(name: str, log: Log, relations: Relations, seed: int) -> DamagedLog:
         stamps = sum(_ends_s(ticks)) - stamps
     changed = Log(DAMAGES[name](ticks, rng), laser)
     known = (matched(_stamps_s(changed.ticks), stamps) >= 0).all(axis=1)
-    return DamagedLog(changed, Relations(stamps[known], poses[known]))
+    return changed, Relations(stamps[known], poses[known])
 
 
 def clean(ticks: Ticks, rng: np.random.Generator) -> Ticks:

@@ -35,10 +35,6 @@ DOORS = [*itertools.product((0.0, 0.2, 0.5, 0.8), (False, True), range(3))]
 """angle to the map's cells, whether the wall is thick, and the seed of each exploration of a door"""
 STRAY_M = 0.15
 FRONT_ENDS = {"ekf-invariant": "landmarks", "isam2": "scan-matching"}
-METRICS = {
-    "outcome": "outcome", "coverage": "coverage", "collisions": "collisions", "home_m": "home_error_m",
-    "travel_m": "path_length_m", "ate_m": "ate_rmse_m", "nees": "pose_nees_world_mean",
-}  # fmt: skip
 
 
 def shipped(setting: Setting, seed: int) -> Figures:
@@ -74,7 +70,7 @@ def timed(config: Config) -> Figures:
     found = run(config)
     spent_s = time.process_time() - began
     plan_ms = [row.get("plan", 0.0) for row in found.trace.stopwatch.rows[1:]]
-    return chosen(found.metrics, METRICS) | {
+    return chosen(found.metrics) | {
         "times_real_time": found.metrics["sim_time_s"] / spent_s, "processor_s": spent_s,
         "plan_ms_p99": float(np.percentile(plan_ms, 99)) if plan_ms else None,
     }  # fmt: skip
@@ -102,7 +98,7 @@ def odd(setting: Setting, seed: int) -> Figures:
     references_m = (nearest_frontier_travel(fits, share, scene) for share in (0.95, 0.8, 0.6, 0.4, 0.2))
     reference_m = next((found for found in references_m if not math.isnan(found)), 0.0)
     found = run(config.replaced(max_time=10.0 * reference_m / config.robot.speed + _SLACK_S), scene).metrics
-    return chosen(found, METRICS) | {"ended": int("explored" in found["outcome"])}
+    return chosen(found) | {"ended": int("explored" in found["outcome"])}
 
 
 def door(setting: Setting, seed: int) -> Figures:
@@ -112,7 +108,7 @@ def door(setting: Setting, seed: int) -> Figures:
     made = run(config, two_rooms(float(setting[0]), angle_rad, is_thick))
     across = math.cos(angle_rad), math.sin(angle_rad)
     passed = ((np.array(made.trace.truths)[:, :2] - DOOR) @ across > 0.0).any()
-    return chosen(made.metrics, METRICS) | {"passed": int(passed)}
+    return chosen(made.metrics) | {"passed": int(passed)}
 
 
 def two_rooms(wider_m: float, angle_rad: float, is_thick: bool) -> Scene:
@@ -140,8 +136,7 @@ def people(setting: Setting, seed: int) -> Figures:
     scene, estimator, walkers = setting
     fields: dict[str, Any] = {"front_end": FRONT_ENDS[estimator], "world": {"walkers": int(walkers)}}
     found = run(preset(scene=scene, estimator=estimator, max_time=3000.0, seed=seed, **fields))
-    names = {"by_robot": "touches_by_robot", "by_walkers": "touches_by_walkers", "sim_s": "sim_time_s"}
-    return chosen(found.metrics, METRICS | names) | left_by_people(found.trace)
+    return chosen(found.metrics) | left_by_people(found.trace)
 
 
 def left_by_people(trace: Trace) -> Figures:

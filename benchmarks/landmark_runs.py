@@ -19,11 +19,6 @@ from sixthsense.logs.mrclam import read_mrclam, true_landmarks
 from sixthsense.testing.circle import follow, simulate
 
 TOUR_S, WORLD_S = 200.0, 80.0
-METRICS = {
-    "outcome": "outcome", "collisions": "collisions", "nees": "pose_nees_world_mean", "nis": "nis_mean_per_dof",
-    "landmark_nees": "landmark_nees_mean", "discarded_share": "discarded_share", "ate_m": "ate_rmse_m",
-}  # fmt: skip
-"""figure by figure, the metric that it is"""
 
 
 def tour_figures(made: Run) -> Figures:
@@ -38,7 +33,7 @@ def tour_figures(made: Run) -> Figures:
         for seen, truth in zip(associations, truths, strict=True)
         for i, faces in zip(seen, identify([*seen.values()], Pose.from_array(truth), scene), strict=True)
     )
-    return chosen(made.metrics, METRICS) | {"observations": sum(map(len, associations)), "wrong": wrong}
+    return chosen(made.metrics) | {"observations": sum(map(len, associations)), "wrong": wrong}
 
 
 def tour(setting: Setting, seed: int) -> Figures:
@@ -70,12 +65,10 @@ def mrclam(setting: Setting, seed: int) -> Figures:
     assert seed == 0
     config, folder = preset("mrclam"), data_path("mrclam6")
     made = replay(read_mrclam(folder, config.assumed, int(setting[0])), config)
-    trace, metrics, landmarks = made.trace, made.metrics, true_landmarks(folder)
+    trace, landmarks = made.trace, true_landmarks(folder)
     truth, estimates = np.array(trace.truths), np.array(trace.estimates)
-    figures = {
-        "outcome": metrics["outcome"], "per_axis_m": per_axis_rmse(estimates, truth),
-        "heading_deg": math.degrees(heading_rmse(estimates, truth)),
-        "nees": metrics["pose_nees_world_mean"], "nis": metrics["nis_mean_per_dof"],
+    figures = chosen(made.metrics) | {
+        "per_axis_m": per_axis_rmse(estimates, truth), "heading_deg": math.degrees(heading_rmse(estimates, truth)),
         "misread": sum(association.discarded for association in trace.associations),
     }  # fmt: skip
     true = [k for k, i in enumerate(trace.final.ids.tolist()) if i in landmarks]

@@ -1,4 +1,4 @@
-"""Live runs beside Fast DDS: who is found how soon, gaps of /pose, restarts, memory.
+"""Live runs beside Fast DDS: who is found how soon.
 
 The robot is that of `tests/interop`. Networks beside the loopback are two network namespaces, which need root.
 """
@@ -6,11 +6,8 @@ The robot is that of `tests/interop`. Networks beside the loopback are two netwo
 from __future__ import annotations
 
 import contextlib
-import json
-import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -20,16 +17,12 @@ from runs import Figures, Setting
 
 from sixthsense.live.network import LOOPBACK, SENSOR, Network, Node
 from sixthsense.live.publishing import MAP
-from sixthsense.live.reading import TWIST
-from sixthsense.live.simulated import CMD_VEL, SCAN
-from sixthsense.record.messages import Messages
+from sixthsense.live.simulated import SCAN
 
-PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
 PEER = Path("runs/interop/peer")
 APART_S = 36.0  # more than the 30 s after which Cyclone DDS by itself forgets peers
 LOST_S = 20.0
 SIDES = {"a": "10.77.0.1", "b": "10.77.0.2"}
-HALL_M, RESTARTS = 200.0, 50
 
 
 def listen(domain: str, interface: str) -> None:
@@ -70,15 +63,15 @@ class Program:
             time.sleep(0.01)
         return self.lines[number] if len(self.lines) > number else None
 
-    def end(self, by: int = signal.SIGKILL) -> None:
-        """Send a signal, and wait for the end."""
-        self.process.send_signal(by)
+    def end(self) -> None:
+        """Kill it, and wait for the end."""
+        self.process.kill()
         self.process.wait()
         self.thread.join()
 
 
-def robot(domain: int, namespace: str = "", *more: str) -> Program:
-    joined = Program([str(PEER), "--domain", str(domain), "--seconds", "9999", *more], namespace)
+def robot(domain: int, namespace: str) -> Program:
+    joined = Program([str(PEER), "--domain", str(domain), "--seconds", "9999"], namespace)
     assert joined.line(0, 200.0) is not None, "the robot cannot join"
     return joined
 
@@ -148,64 +141,10 @@ CONNECTIONS = {"loopback": (("", ""), LOOPBACK), "one interface": (("a", "b"), "
 
 def found(setting: Setting, seed: int) -> Figures:
     """Seconds until both have found each other; the networks beside the loopback need root."""
-    build()
+    subprocess.run(["tests/interop/build.sh", str(PEER.parent)], check=True, cwd=Path(__file__).parents[1])
     with namespaces() if setting[0] != "loopback" else contextlib.nullcontext():
         delays = found_in(90, *CONNECTIONS[setting[0]])
     return dict(zip(("live_first", "robot_again", "live_again", "robot_first"), delays, strict=True))
-
-
-def build() -> None:
-    """The robot on Fast DDS."""
-    subprocess.run(["tests/interop/build.sh", str(PEER.parent)], check=True, cwd=Path(__file__).parents[1])
-
-
-def live(domain: int, folder: Path, seconds: float, *more: str) -> Program:
-    words = ["--domain", str(domain), "--out", str(folder / "run"), "--max-time", str(seconds), *more]
-    return Program([sys.executable, "-c", PROGRAM, "live", *words])
-
-
-def gaps(setting: Setting, seed: int) -> Figures:
-    """The gaps of /pose beside the map of a hall of 200 m by 200 m with pillars, all of which each scan sees."""
-    build()
-    with tempfile.TemporaryDirectory() as name:
-        return beside_a_hall(Path(name))
-
-
-def beside_a_hall(folder: Path) -> Figures:
-    """Scans at 10 Hz."""
-    half = HALL_M / 2.0
-    corners = [[-half, -half], [half, -half], [half, half], [-half, half]]
-    pillars = [[[x, y], [x + 2.1, y + 0.3], [x + 1.7, y + 2.6]] for x in range(-81, 90, 33) for y in range(-73, 90, 29)]
-    scene = folder / "hall.toml"
-    tables = "".join(f"[[polygons]]\npoints = {points}\n" for points in (corners, *pillars))
-    scene.write_text(f"start = [3.3, -9.2, 0.4]\nradius = 0.15\n{tables}")
-    laser = ["--laser.beams", "720", "--laser.max-range", "120"]
-    words = ["simulate", str(scene), "--domain", "97", "--max-time", "200", "--timeout", "9", *laser]
-    simulated = Program([sys.executable, "-c", PROGRAM, *words])
-    poses = Program([str(PEER), "--domain", "97", "--listen", "--seconds", "9999", "--no-map"])
-    run = live(97, folder, 60.0)
-    with Node(Network(97)) as node:  # the robot drives a circle; by itself it would map the hall, too
-        commands, make = node.writer(CMD_VEL), Messages()
-        while run.process.poll() is None:
-            commands.send(make.serialized(make.twist(0.3, 0.2), TWIST))
-            time.sleep(1.0)
-    poses.end(signal.SIGTERM)
-    simulated.end()
-    pose = json.loads(poses.lines[-1])["/pose"]
-    return {"poses": pose["count"], "gap_p99_s": pose["gap_p99_s"], "gap_max_s": pose["gap_max_s"]}
-
-
-def restarts(setting: Setting, seed: int) -> Figures:
-    """Fifty robots that are killed and start again, one after the other."""
-    build()
-    waiting, delays = listener(98, "", LOOPBACK), list[float]()
-    for k in range(RESTARTS):
-        one = robot(98)
-        delays.append(delay(waiting, k + 1 - delays.count(float("inf")), one))
-        one.end()
-    waiting.end()
-    known = [s for s in delays if s != float("inf")]
-    return {"lost": RESTARTS - len(known), "median_s": sorted(known)[len(known) // 2], "longest_s": max(known)}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Scan matching: logs against their relations, damaged, by scans alone; repeating buildings; earlier maps."""
+"""Scan matching: logs against their relations, damaged, by scans alone; earlier maps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from damaged_logs import damaged
-from repetition import drive_figures
 from runs import Figures, Setting, data_path, replay_figures
 
 import sixthsense as ss
@@ -39,8 +38,8 @@ def opened(name: str, **fields: bool) -> tuple[ReplayInput, Log, Relations]:
 
 
 def relations(setting: Setting, seed: int) -> Figures:
-    """A log as it is, as the plain command replays it."""
-    found, log, known = opened(setting[0])
+    """A log as the plain command replays it, or by scans alone."""
+    found, log, known = opened(setting[0], no_odometry=setting[-1] == "scans alone")
     return replay_figures(log, found.config, known)
 
 
@@ -49,17 +48,6 @@ def damage(setting: Setting, seed: int) -> Figures:
     _, log, known = opened(setting[0])
     log, known = damaged(setting[1], log, known, seed)
     return replay_figures(log, of_log(preset("log"), log), known)
-
-
-def scans_alone(setting: Setting, seed: int) -> Figures:
-    """A log without odometry, or with it."""
-    found, log, known = opened(setting[0], no_odometry=setting[1] == "scans alone")
-    return replay_figures(log, found.config, known)
-
-
-def repetition(setting: Setting, seed: int) -> Figures:
-    """A drive through a building that repeats itself, with worn wheels."""
-    return drive_figures(preset("log"), setting[0], seed)
 
 
 def stated_covariances(setting: Setting, seed: int) -> Figures:

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from repetition_scenes import SCENES, log_of
-from runs import Figures
+from runs import Figures, Setting
 
-from sixthsense.config import Config
+from sixthsense.config import preset
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between
@@ -38,9 +38,9 @@ def old_links(slam: Slam) -> list[Link]:
     return [(*map(int, row["ends"]), row["pose"], np.linalg.inv(row["cov"])) for row in links[links["is_old"]]]
 
 
-def drive_figures(config: Config, name: str, seed: int) -> Figures:
-    """Replay one drive, and compare its loop closures with the truth."""
-    log = log_of(SCENES[name], seed)
+def drive_figures(setting: Setting, seed: int) -> Figures:
+    """Replay a drive through a building that repeats itself, and compare its loop closures with the truth."""
+    config, log = preset("log"), log_of(SCENES[setting[0]], seed)
     truths, scans = [], []
     assert log.ticks[0].truth is not None
     with Slam(config, log.ticks[0].truth) as slam:

@@ -30,13 +30,8 @@ _SLIP_M, _SLIP_OVER_M = 1.0, 0.5  # distance that wheels spin, and the distance 
 _SLIP_PER_SQRT_M = 0.01  # of the position
 
 
-class Building(NamedTuple):
-    """Walls, and a way through them."""
-
-    walls: Array
-    """(N, 2, 2) m"""
-    way: list[Point]
-    """corners of the drive"""
+Building = tuple[Array, list[Point]]
+"""walls (N, 2, 2), m, and the corners of a drive through them"""
 
 
 class Scene(NamedTuple):
@@ -54,7 +49,7 @@ def corridor_of_doors(rng: np.random.Generator) -> Building:
     length, width, pitch = rng.uniform(45, 60), rng.uniform(1.9, 2.6), rng.uniform(2.8, 4.0)
     outline = [*_side(0.0, length, 0.0, -0.15, pitch), *_side(length, 0.0, width, width + 0.15, pitch)]
     middle = width / 2
-    return Building(closed(outline), [(1.5, middle), (length - 1.5, middle), (1.5, middle), (length - 1.5, middle)])
+    return closed(outline), [(1.5, middle), (length - 1.5, middle), (1.5, middle), (length - 1.5, middle)]
 
 
 def row_of_rooms(rng: np.random.Generator) -> Building:
@@ -77,7 +72,7 @@ def row_of_rooms(rng: np.random.Generator) -> Building:
         x, is_upper = doors[k]
         inside = width + 1.5 if is_upper else -1.5
         way += [(x, middle), (x, inside), (x, middle)]
-    return Building(np.concatenate(walls), way)
+    return np.concatenate(walls), way
 
 
 def square_of_niches(rng: np.random.Generator) -> Building:
@@ -86,7 +81,7 @@ def square_of_niches(rng: np.random.Generator) -> Building:
     walls = [closed(_square(0.0, side, -0.3, pitch)), closed(_square(width, side - width, 0.3, pitch))]
     near, far = width / 2, side - width / 2
     lap = [(near, near), (far, near), (far, far), (near, far)]
-    return Building(np.concatenate(walls), [*lap, *lap, (near, near), (far, near)])
+    return np.concatenate(walls), [*lap, *lap, (near, near), (far, near)]
 
 
 def parallel_corridors(rng: np.random.Generator) -> Building:
@@ -98,7 +93,7 @@ def parallel_corridors(rng: np.random.Generator) -> Building:
     lap = [(near, low), (far, low), (far, high), (near, high)]
     places = zip(rng.uniform(5, length - 5, 4), (0.1, width - 0.1) * 2, strict=True)
     few = [box(np.array(place), np.array([0.4, 0.15])) for place in places]
-    return Building(np.concatenate([closed(outer), closed(inner), *few]), [*lap, *lap, (near, low), (length / 2, low)])
+    return np.concatenate([closed(outer), closed(inner), *few]), [*lap, *lap, (near, low), (length / 2, low)]
 
 
 def out_and_back(rng: np.random.Generator) -> Building:
@@ -109,7 +104,7 @@ def out_and_back(rng: np.random.Generator) -> Building:
     high = [(length, width)]
     high += itertools.chain.from_iterable(_recess(x, width, width + 0.12)[::-1] for x in doors[1::2][::-1])
     ends = [(1.5, width / 2), (length - 1.5, width / 2)]
-    return Building(closed([*low, *high, (0.0, width)]), [*ends, *ends, ends[0]][:4])
+    return closed([*low, *high, (0.0, width)]), [*ends, *ends, ends[0]][:4]
 
 
 _HALF, _ROUND = 181, 360
@@ -125,12 +120,12 @@ SCENES = {
 def log_of(scene: Scene, seed: int) -> Log:
     """A drive through a scene, with the wheels of the preset `worn`, wrong to either side."""
     rng = np.random.default_rng(seed)
-    building = scene.draw(rng)
-    truths = _driven(_woven(building.way, rng))
+    walls, way = scene.draw(rng)
+    truths = _driven(_woven(way, rng))
     odometry = _by_wheels(truths, scene.slips, rng)
     bearings, ticks = beam_bearings(scene.laser), []
     for k, (truth, wheels) in enumerate(zip(truths, odometry, strict=True)):
-        ranges = cast_rays(truth, bearings, building.walls, scene.laser.max_range)
+        ranges = cast_rays(truth, bearings, walls, scene.laser.max_range)
         scan = Scan.from_config(ranges + scene.beam_sigma_m * rng.standard_normal(len(ranges)), scene.laser)
         ticks.append(Tick(k * _PERIOD_NS, wheels, scan, truth=truth, log_stamp_s=1e-9 * _PERIOD_NS * k))
     return Log(ticks, scene.laser)

@@ -20,6 +20,13 @@ from sixthsense.running.runs import QUIET, replay_log, simulate
 from sixthsense.simulation.mission import mission_of
 from sixthsense.simulation.scene import Scene
 
+METRICS = {
+    "outcome": "outcome", "coverage": "coverage", "collisions": "collisions", "by_robot": "touches_by_robot",
+    "by_walkers": "touches_by_walkers", "nees": "pose_nees_world_mean", "nis": "nis_mean_per_dof",
+    "landmark_nees": "landmark_nees_mean", "discarded_share": "discarded_share", "ate_m": "ate_rmse_m",
+    "home_m": "home_error_m", "travel_m": "path_length_m", "sim_s": "sim_time_s",
+}  # fmt: skip
+"""figure by figure, the metric that it is"""
 Figures = dict[str, Any]
 """numbers by name, and of a run its `outcome`"""
 Setting = tuple[str, ...]
@@ -60,6 +67,6 @@ def replay_figures(log: Log, config: Config, relations: Relations) -> Figures:
     }  # fmt: skip
 
 
-def chosen(metrics: Mapping[str, Any], names: Mapping[str, str]) -> Figures:
-    """Metrics under other names, those that there are."""
-    return {name: metrics[key] for name, key in names.items() if key in metrics}
+def chosen(metrics: Mapping[str, Any]) -> Figures:
+    """The figures that are metrics, those that there are."""
+    return {name: metrics[key] for name, key in METRICS.items() if key in metrics}

@@ -315,7 +315,7 @@ def table_of(kind: str, rows: Mapping[str, Row]) -> str:
     of, own = KINDS[kind], {case: rows[case.name] for case in CASES if case.kind == kind and case.name in rows}
     if not own:
         return "Not measured."
-    columns = [column for column in of.columns if column.title]
+    columns = of.columns
     has_outcome = any(row["outcomes"] for row in own.values())
     lines = [[*of.heads, "n", *(["outcome"] if has_outcome else []), *(column.title for column in columns)]]
     for case, row in own.items():

@@ -50,7 +50,7 @@ def world(name: str, seed: int, seconds: float, speed: float) -> Scene:
             tour = tuple((float(x), float(y)) for x, y in [*points[1:-1], first])
             low, high = scene.solid.min(axis=(0, 1)) - 1.0, scene.solid.max(axis=(0, 1)) + 1.0
             return dataclasses.replace(scene, start=start, radius=radius, tour=tour, region=(*low, *high))
-    raise InputError(f"{name}: has no room for a tour")
+    raise InputError(name, "found no room for a tour", "free space that a robot can drive in")
 
 
 def _tour(scene: Scene, clearance_m: float, out_m: float, rng: np.random.Generator) -> Array:
