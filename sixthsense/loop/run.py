@@ -40,13 +40,7 @@ Watcher = Callable[[Tick, Step, Command], str | None]
 """Called after every tick; an outcome that it returns ends the run."""
 
 
-def drive(
-    source: Source,
-    slam: Slam,
-    pilot: Pilot,
-    watchers: Sequence[Watcher],
-    clock: Stopwatch,
-) -> str:
+def drive(source: Source, slam: Slam, pilot: Pilot, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
     """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome.
 
     Raises PartError that names a part which is not shipped, if it fails.
