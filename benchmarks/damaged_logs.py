@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.logs.log import Log, Relations
-from sixthsense.logs.stamps import matched
+from sixthsense.logs.log import Log, Relations, matched
 
 Ticks = Sequence[Tick]
 

@@ -14,9 +14,8 @@ from sixthsense.config import preset
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.se2 import between, compose
-from sixthsense.logs.log import Log, Relations
+from sixthsense.logs.log import Log, Relations, matched
 from sixthsense.logs.replay_input import ReplayInput, of_log, open_recorded
-from sixthsense.logs.stamps import matched
 from sixthsense.slam.slam import Slam
 
 FILES = {

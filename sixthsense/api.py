@@ -132,7 +132,7 @@ def replay(
     Raises
     ------
     InputError
-        One line each: what is not allowed for this kind of log, and what cannot be read, with file and line.
+        One line each: what is not allowed on a replay, and what cannot be read, with file and line.
 
     """
     from sixthsense.logs.replay_input import LogSelection
@@ -184,11 +184,11 @@ def merge_runs(
 
     """
     from sixthsense.config import load_config
-    from sixthsense.logs.replay_input import LogSelection, check_options, check_out
+    from sixthsense.logs.replay_input import check_options, check_out
     from sixthsense.running.merging import open_merged, replay_merged
 
     first, second = path_of("first", first), path_of("second", second)
-    check_options(first, fields, LogSelection())
+    check_options(fields)
     for run in (first, second):
         check_out(run, None if out is None else path_of("out", out))
     merged = open_merged(first, second, configured(config or load_config(first / "config.toml"), fields))
@@ -226,7 +226,7 @@ def _opened(
     from sixthsense.logs.replay_input import base_of, check_options, check_out, of_opened, open_recorded
 
     if isinstance(log, str | Path):
-        check_options(log, given, chosen)
+        check_options(given)
         check_out(log, None if out is None else path_of("out", out))
         base = (given.pop("preset", None) or base_of(log)) if config is None else config
         return open_recorded(log, configured(base, given), relations, chosen)

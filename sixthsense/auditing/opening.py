@@ -21,8 +21,8 @@ from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.logs import is_run_folder, kind_of
 from sixthsense.logs.diagnose import findings_of
-from sixthsense.logs.log import Odometry
-from sixthsense.logs.stamps import ascending, matched, unit_of
+from sixthsense.logs.log import Odometry, ascending, matched
+from sixthsense.logs.text_lines import read_covariances, read_trajectory, unit_of
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -96,8 +96,6 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
         return poses_from(f"{path} {found.topic}", found.stamps_ns, found.poses)
-    from sixthsense.logs.trajectories import read_trajectory
-
     notes: list[str] = []
     return _noted(poses_from(str(path), *read_trajectory(_file(path), notes)), notes)
 
@@ -113,8 +111,6 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if covariance is None:
         form = "a file with a stamp and 6 or 21 numbers of the upper triangle in each line"
         raise InputError("covariance", f"found nothing for {path}", form)
-    from sixthsense.logs.trajectories import read_covariances, read_trajectory
-
     notes: list[str] = []
     stamps, values = read_trajectory(path, notes)
     cov_stamps, covs = read_covariances(covariance, notes)

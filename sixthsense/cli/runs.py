@@ -67,9 +67,9 @@ class Replay(WithPriorMap):
     def run(self, flags: Table) -> int:
         """Replay a log."""
         from sixthsense import api
-        from sixthsense.logs.replay_input import LogSelection, check_options
+        from sixthsense.logs.replay_input import check_options
 
-        check_options(self.log, flags, LogSelection())
+        check_options(flags)
         stem = f"{Path(self.log or '').absolute().name.split('.')[0]}-{self.settings.estimator}"
         given = {"topics": self.topics, "odometry_frames": self.odometry_frames}
         chosen = {name: tuple(words.split(",")) if words else () for name, words in given.items()} | self.prior()
@@ -101,9 +101,9 @@ class Merge(Common):
     def run(self, flags: Table) -> int:
         """Merge two runs."""
         from sixthsense import api
-        from sixthsense.logs.replay_input import LogSelection, check_options
+        from sixthsense.logs.replay_input import check_options
 
-        check_options(self.runs[0], flags, LogSelection())
+        check_options(flags)
         names = (Path(run).absolute().name for run in self.runs)
         return self.started(api.merge_runs, "-".join(names), *self.runs, config=self.settings)
 

@@ -14,7 +14,7 @@ from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of
 from sixthsense.core.se2 import between
-from sixthsense.logs.stamps import matched
+from sixthsense.logs.log import matched
 
 
 def ate(estimate: Array, truth: Array) -> float:

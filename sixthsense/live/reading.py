@@ -106,11 +106,11 @@ class LaserReader:
         if self._max_range is None and not 0.0 < float(message.range_max) <= FARTHEST_M:  # true for NaN
             allowed = f"allowed: up to {FARTHEST_M:g} m, or state it with `laser.max_range`"
             raise ValueError(f"found range_max {float(message.range_max)}, {allowed}")
-        found = scan(message, self.T_robot_laser or Pose(), self.upside_down, self._max_range)
+        found = scan(message, self.T_robot_laser or Pose(), self._max_range)
         self.frame = self.frame or frame
         if frame != self.frame:
             raise ValueError(f"found a scan of {shown_name(frame)}, allowed: of {shown_name(self.frame)}")
-        return stamp_ns(message), found
+        return stamp_ns(message), found.mirrored() if self.upside_down else found
 
 
 class Notices:

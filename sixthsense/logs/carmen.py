@@ -17,8 +17,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, time_increment
 from sixthsense.logs import laser_geometry as geometry
 from sixthsense.logs.finding import Finding
-from sixthsense.logs.log import Log, Odometry, Sighting
-from sixthsense.logs.stamps import ascending
+from sixthsense.logs.log import Log, Odometry, Sighting, ascending
 from sixthsense.logs.text_lines import LARGEST, Record, records
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
@@ -83,8 +82,8 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
     scans = [reading for reading in readings if len(reading.ranges)]
     if not scans:
         there = ", ".join(f"{n} {name.decode(errors='replace')[:20]}" for name, n in kinds.most_common(5))
-        none = f"found no FLASER or ROBOTLASER1 line ({there or 'no line at all'})"
-        raise InputError(path, refused[0] if refused else none, "a log with laser scans")
+        none = [f"found no FLASER or ROBOTLASER1 line ({there})"]
+        raise InputError(path, (refused or none)[0], "a log with laser scans")
     left_out = {
         "scans of the other of FLASER and ROBOTLASER1 are left out": len(lines) - len(readings),
         f"lines are left out, the first: {''.join(refused[:1])}": len(refused),

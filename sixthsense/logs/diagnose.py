@@ -23,38 +23,29 @@ from sixthsense.core.se2 import between, compose
 from sixthsense.core.source import seconds
 from sixthsense.logs.finding import Finding
 from sixthsense.logs.laser_geometry import Beams, beams_over, with_beams
-from sixthsense.logs.log import Log, Odometry, Sighting
-from sixthsense.logs.stamps import passed_s
+from sixthsense.logs.log import EXACT_S, Log, Odometry, Sighting, passed_s
 
-_COMPARED = 100  # scans, evenly over the log
-_MOVED_M, _MOST = 0.3, 0.5  # by which a range has changed, and the share of beams
+_MOVED_M = 0.3  # by which a range has changed
 _FASTEST = 20.0  # m/s of a vehicle; a slow robot in centimetres is faster
-_FEWEST, _LEAST_WAY_M = 10, 1.0  # motions and way that say something
+_FEWEST, _LEAST_WAY_M = 10, 1.0  # motions or turns, and way, that say something
 _ALONG, _TURNED_RAD = 0.85, 0.5  # share of the way along a heading; and by which headings differ that say something
 _SIGMAS, _LEAST_S, _SCALE_OFF = 4.0, 0.08, 0.15
 """of a value that is not chance; a delay and a scale that are worth a word"""
 _OFF = (0.1, 0.1, math.radians(4.0))
 """the same of a mount: x, y, m, and heading"""
-_PAIRS, _APART_S = 400, 0.3  # pairs of scans, evenly over the log, and the time between the two
+_PAIRS, _APART_S = 400, 0.3  # scans, or pairs of them, evenly over the log, and the time between the two
 _BINS, _SHIFTS, _FEWEST_BINS = 180, 35, 20  # of bearings around a full turn; to either side; that both views have
 _FAR_M, _MOST_M, _CAP_RAD = 30.0, 0.5, 0.2  # ranges beyond are not compared; caps of errors
-_TURN_RAD, _FEWEST_TURNS, _NOISE_RAD = 0.05, 10, 0.005  # a pair turns by more; fewest of them; and what is seen of it
+_TURN_RAD, _NOISE_RAD = 0.05, 0.005  # a pair turns by more; and what is seen of it
 _STEP_S, _FINE_S, _MOST_S = 0.02, 0.6, 120.0  # of delays; and how far they are searched, around that of other clocks
 _EXPLAINED, _LIKELIER = 0.7, 20.0  # share of the squared turns of a fit; log likelihood ratio to another one
 
 
-def diagnose(log: Log) -> list[Finding]:
-    """What its reader and its numbers say of a log, of scans so far where it goes on.
-
-    Each kind of finding is said, refused or applied by `settled`, as `KINDS` has it.
-    """
-    return [*log.found, *findings_of(log.sightings, log.odometry, log.candidates), *_gaps(log)]
-
-
-def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
+def settled(log: Log, config: Config, name: str = "log") -> tuple[Log, Config, list[Finding]]:
     """A log and a configuration with what is found out about it applied; and what is to be said.
 
-    What the configuration states is not looked for. Raises InputError for a log that cannot be right.
+    Each kind of finding is said, refused or applied, as `KINDS` has it. What the configuration states is not looked
+    for. Raises InputError, which begins with `name`, for a log that cannot be right.
     """
     log = log.later(config.time_offset or 0.0)
     stated = {"clocks": config.time_offset is not None, "frozen_odometry": config.no_odometry}
@@ -62,7 +53,7 @@ def settled(log: Log, config: Config) -> tuple[Log, Config, list[Finding]]:
     found = [finding for finding in found if not stated.get(finding.kind)]
     for finding in found:
         if finding.action == "refused":
-            raise InputError("log", f"found {finding.text}", "metres, radians, and odometry along its headings")
+            raise InputError(name, f"found {finding.text}", "metres, radians, and odometry along its headings")
         if finding.kind == "clocks":
             offset_s = round(finding.value, 3)
             log, config = log.later(offset_s), merge(config, {"time_offset": offset_s})
@@ -84,7 +75,7 @@ def findings_of(
     if not sightings:
         return
     scans = [each.scan for each in sightings]
-    some = scans[:: max(1, len(scans) // _COMPARED)]
+    some = [scans[k] for k in _evenly(np.arange(len(scans))).tolist()]
     returns = np.concatenate([scan.ranges[scan.is_return] for scan in some])
     if len(returns) and (median := float(np.median(returns))) > MOST_RANGE_M:
         yield Finding("ranges_unit", median)
@@ -109,7 +100,7 @@ def _scans_move(scans: Sequence[Scan]) -> bool:
         count = min(len(scans[0].ranges), len(scan.ranges))
         here, there = (np.minimum(each.ranges[:count], MOST_RANGE_M) for each in (scans[0], scan))
         changed = max(changed, float(np.mean(np.abs(here - there) > _MOVED_M)))
-    return changed > _MOST
+    return changed > 0.5
 
 
 def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
@@ -147,7 +138,6 @@ def _of_headings(poses: Array, way: Array) -> Finding | None:
     degrees = np.unwrap(heading, period=360.0 if np.ptp(heading) > 2.0 * math.pi else 2.0 * math.pi)
     along = {  # 1 for one direction and its opposite, 0 for all of them
         "headings_unit": np.abs(share @ np.exp(2j * (course - np.radians(degrees)))),  # from any number of turns on
-        "headings_inverted": share @ np.cos(2.0 * (course + heading)),
         "axes_exchanged": -share @ np.cos(2.0 * (course + heading)),  # of pi / 2 - course
     }
     best = max(along, key=lambda kind: float(along[kind]))
@@ -167,9 +157,7 @@ def _gaps(log: Log) -> Iterator[Finding]:
     at_s = [seconds(tick.stamp_ns - log.ticks[0].stamp_ns) for tick in log.ticks]
     spans = [(at_s[begin], at_s[end - 1]) for begin, end in edges.reshape(-1, 2).tolist() if end - begin > 1]
     if spans and log.odometry is not None:
-        shown = ", ".join(f"from {begin:.1f} to {end:.1f} s" for begin, end in spans[:4])
-        more = f" and {len(spans) - 4} more times" * (len(spans) > 4)
-        yield Finding("gap", float(alone.sum()), place=shown + more)
+        yield Finding("gap", float(alone.sum()), place=", ".join(f"from {a:.1f} to {b:.1f} s" for a, b in spans))
 
 
 def _of_turns(sightings: Sequence[Sighting], odometry: Odometry, candidates: Sequence[Beams]) -> Iterator[Finding]:
@@ -203,7 +191,7 @@ def _of_turns(sightings: Sequence[Sighting], odometry: Odometry, candidates: Seq
     lags = far_s + np.arange(-_FINE_S, _FINE_S + 0.5 * _STEP_S, _STEP_S)
     around = turned(np.arange(len(pairs)), lags[:: len(lags) // 6])
     turning = np.flatnonzero(np.isfinite(around).all(axis=0) & (np.abs(around).max(axis=0) > _TURN_RAD))
-    if len(turning) < _FEWEST_TURNS:
+    if len(turning) < _FEWEST:
         return
     some = _evenly(turning)
     turns = turned(some, lags)
@@ -224,7 +212,7 @@ def _judged(
     candidate, sign, seen, errors = min(found, key=lambda each: float(each[3].min()))
     best = int(np.clip(np.argmin(errors), 1, len(lags) - 2))
     turning = turns[best, np.isfinite(seen) & (np.abs(turns[best]) > _TURN_RAD)]
-    if (count := len(turning)) < _FEWEST_TURNS:
+    if (count := len(turning)) < _FEWEST:
         return
     least, lag_s = max(float(errors[best]), count * _NOISE_RAD**2), float(lags[best])
     sigma_s, is_sure = _sigma(errors, best, least / count), least < (1.0 - _EXPLAINED) * _squares(turning)
@@ -245,7 +233,7 @@ def _pairs(sightings: Sequence[Sighting]) -> tuple[NDArray[np.int64], Array]:
     times_s = np.array(
         [seconds(each.stamp_ns - sightings[0].stamp_ns) + 0.5 * each.scan.times_s.min() for each in sightings]
     )
-    later = np.searchsorted(times_s, times_s + _APART_S - 1e-6)
+    later = np.searchsorted(times_s, times_s + _APART_S - EXACT_S)
     first = np.flatnonzero(later < len(times_s))
     apart = times_s[later[first]] - times_s[first]
     first = first[(apart > 0.0) & (apart < 2.0)]

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-Action = Literal["applied", "said", "refused"]
-
 
 class Kind(NamedTuple):
     """What is known of all findings of a kind."""
 
-    action: Action
+    action: Literal["applied", "said", "refused"]
     """applied: the value is set in the configuration; said: a note; refused: an error"""
     text: str
     """of a note, or what was found; with the fields of the finding"""
@@ -25,33 +23,24 @@ KINDS = {
     "clocks": Kind("applied", "turns show {value:.2f} s later in the scans than in the odometry", "time_offset"),
     "field_of_view": Kind("applied", "the turns fit a field of view of {degrees:.1f}°", "laser.fov"),
     "frozen_odometry": Kind("applied", "the odometry never changes, but the scans do", "no_odometry"),
-    "turned_around": Kind(
-        "said",
-        "scans turn against the odometry: ranges from right to left, or turns of inverted sign?",
-        "laser.mirrored",
-    ),
+    "turned_around": Kind("said", "scans turn against the odometry: is one of both inverted?", "laser.mirrored"),
     # of odometry
     "jump": Kind("said", "odometry jumps {place}, at most by {value:.1f} m: it goes on from where it was"),
     "gap": Kind("said", "no odometry by its stamps {place}: {value:.0f} scans are predicted by the last velocity"),
     "odometry_unit": Kind("refused", "positions of odometry that change by {value:.4g} a second, which are mm or cm"),
     "headings_unit": Kind("refused", "headings of odometry, along which the robot goes only if they are degrees"),
-    "headings_inverted": Kind("refused", "headings of odometry, along which the robot goes only with the other sign"),
     "axes_exchanged": Kind("refused", "odometry, along whose headings the robot goes only with x and y exchanged"),
     # of the laser
     "ranges_unit": Kind("refused", "ranges with a median of {value:.5g}, which are mm or cm"),
     "no_return": Kind("refused", "no return in {value:.0f} scans: are their ranges in mm?"),
     "sweep": Kind("said", "time_increment makes a sweep of {value:.3g} s, {place}: is its unit wrong? Left out"),
-    "angle_increment": Kind(
-        "said", "angle_increment spans {value:.4g} of what angle_min and angle_max do: it is used", "laser.fov"
-    ),
+    "angle_increment": Kind("said", "angle_increment spans {value:.4g} of what angle_min and angle_max do: it is used"),
     "assumed_beams": Kind("said", "assumed: beams {place}, which a FLASER line does not say", "laser.fov"),
     "assumed_mount": Kind("said", "assumed: the laser at {place}", "laser.mount"),
     "assumed_range": Kind("said", "assumed: a laser of {value:.2f} m, {place}", "laser.max_range"),
     # of stamps
     "stamps": Kind("said", "stamps decrease or repeat at {value:.0f} scans: replayed in the order of the file"),
-    "stamps_of_recording": Kind(
-        "said", "stamps of headers decrease, repeat or are not set: those of recording are used"
-    ),
+    "stamps_of_recording": Kind("said", "stamps of headers decrease, repeat or are 0: those of recording are used"),
     # of the file
     "left_out": Kind("said", "{value:.0f} {place}"),
     "cut_short": Kind("said", "{place}"),
@@ -80,7 +69,7 @@ class Finding:
     """of a finding that has more numbers: x, y and heading of a mount"""
 
     @property
-    def action(self) -> Action:
+    def action(self) -> str:
         """What is done about it."""
         return KINDS[self.kind].action
 

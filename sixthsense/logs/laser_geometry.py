@@ -46,8 +46,8 @@ def beams_by_count(count: int) -> tuple[Beams, ...]:
     An odd number includes both ends (181: one degree apart), an even one leaves out the last (180: one degree, 360:
     half a degree). CARMEN itself reads its logs so.
     """
-    fields = [fov for fov in (_FINE_STEP * (count - 1), *_FIELDS) if math.pi * 1.05 < fov < 2.0 * math.pi + 1e-6]
-    apart = [fov for k, fov in enumerate(fields) if all(abs(fov - other) > 0.02 * fov for other in fields[:k])]
+    fields = [math.pi, *(fov for fov in (_FINE_STEP * (count - 1), *_FIELDS) if math.pi < fov <= 2.0 * math.pi)]
+    apart = [fov for k, fov in enumerate(fields) if all(abs(fov - other) > 0.02 * fov for other in fields[:k])][1:]
     return Beams(-math.pi / 2.0, math.pi / (count - count % 2)), *(beams_over(fov, count) for fov in apart)
 
 

@@ -1,4 +1,4 @@
-"""Recorded logs: scans and odometry joined to ticks, what a reader has found, and relations checked by hand."""
+"""Recorded logs: scans and odometry joined to ticks by their stamps, what a reader has found, and relations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
@@ -20,7 +20,6 @@ from sixthsense.core.se2 import between, compose
 from sixthsense.core.source import Command, Source, Tick, seconds
 from sixthsense.logs.finding import Finding
 from sixthsense.logs.laser_geometry import Beams
-from sixthsense.logs.stamps import ascending, passed_s
 from sixthsense.logs.text_lines import read_table
 
 Stamps = NDArray[np.int64]
@@ -30,6 +29,43 @@ GAP_S = 0.5
 JOLT_M, JOLT_RAD = 0.5, 0.5
 """by which odometry may move at any moment, beside what the robot's speed allows"""
 _FASTEST = 5.0  # m/s and rad/s of a robot on wheels in a building
+EXACT_S = 1e-6
+"""What a float holds of a stamp in seconds since 1970, and less than any two scans are apart."""
+
+
+def matched(stamps_s: ArrayLike, wanted_s: ArrayLike) -> NDArray[np.int64]:
+    """Row of the stamp that is nearest to each wanted one, of equal ones the first; -1 if none is within half a period.
+
+    `stamps_s` (N,) seconds in any order, `wanted_s` of any shape. The period is the median time between stamps.
+    """
+    import pandas as pd  # here, since it takes a while to load
+
+    wanted = np.asarray(wanted_s, dtype=np.float64)
+    ordered, firsts = np.unique(np.asarray(stamps_s, dtype=np.float64), return_index=True)
+    half_s = 0.5 * float(np.median(np.diff(ordered))) if len(ordered) > 1 else 0.0
+    rows = pd.Index(ordered).get_indexer(wanted.ravel(), method="nearest", tolerance=max(half_s, EXACT_S))
+    return np.asarray(np.append(firsts, -1)[rows].reshape(wanted.shape))
+
+
+def ascending(stamps_ns: ArrayLike) -> NDArray[np.int64]:
+    """Stamps (N,), ns, each at least 1 ns after the previous one, so that records keep the order of the file."""
+    count = np.arange(np.size(stamps_ns))
+    return np.asarray(np.maximum.accumulate(np.asarray(stamps_ns, dtype=np.int64) - count) + count)
+
+
+def passed_s(stamps_ns: ArrayLike) -> Array:
+    """(N - 1,) seconds from each record to the next as far as their stamps tell; infinite where no stamp tells any.
+
+    Records that share a stamp, to a microsecond, are spread evenly up to the next one: it is rounded, or that of a
+    moment when several were written.
+    """
+    steps_s = seconds(np.diff(np.asarray(stamps_ns, dtype=np.int64)).astype(np.float64))
+    ends = np.flatnonzero(steps_s > EXACT_S)
+    if not len(ends):
+        return np.full(len(steps_s), np.inf)
+    counts = np.diff(ends, prepend=-1)
+    spread = np.repeat(steps_s[ends] / counts, counts)
+    return np.concatenate([spread, np.full(len(steps_s) - len(spread), np.median(spread))])
 
 
 class Sighting(NamedTuple):
@@ -85,7 +121,7 @@ def pose_at(odometry: Odometry, at_ns: Stamps, longest_s: float = GAP_S) -> Arra
     motion = between(poses[row], poses[after])
     out = np.where((share == 1.0)[:, None], poses[after], compose(poses[row], share[:, None] * motion))
     out[share == 0.0] = poses[row[share == 0.0]]
-    is_far = (gap_ns > 1e9 * longest_s) & motion.any(axis=1) & (share > 0.0) & (share < 1.0)
+    is_far = (seconds(gap_ns.astype(np.float64)) > longest_s) & motion.any(axis=1) & (share > 0.0) & (share < 1.0)
     out[is_far | (stamps[0] - at_ns > usual_ns) | (at_ns - stamps[-1] > usual_ns)] = np.nan
     return np.asarray(out)
 

@@ -15,22 +15,9 @@ from sixthsense.config.files import absolute
 from sixthsense.config.parts import OF_THE_ROBOT
 from sixthsense.logs import kind_of, open_log
 from sixthsense.logs.diagnose import settled
-from sixthsense.logs.log import Log, Relations, read_relations
-from sixthsense.logs.stamps import matched
+from sixthsense.logs.log import EXACT_S, Log, Relations, matched, passed_s, read_relations
 from sixthsense.simulation.scene import Scene, load_scene
 
-_LEAST_PERIOD_NS = 1000.0  # of scans: no laser is as fast
-_ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
-
-_OF_SCANS = "robot.radius assumed no_odometry keyframes features grid"
-_TAKEN = {
-    "carmen": f"{_OF_SCANS} preset laser laser.mirrored",
-    "bag": f"{_OF_SCANS} preset topics odometry_frames laser.mount laser.mirrored",
-    "run": f"{_OF_SCANS} laser.mount",
-    "graph": "preset robot.radius",
-    "mrclam": "preset robot robot.radius assumed",
-}
-"""options, and sections of fields, that apply only on some kinds of logs, by kind; any other applies on all"""
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
 """note of a log, and line of a live run"""
 
@@ -87,19 +74,12 @@ def base_of(log: str | Path | None) -> str | Config:
     return {"graph": "victoria", "mrclam": "mrclam"}.get(kind, "log")
 
 
-def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: LogSelection) -> None:
-    """Raise InputError for given fields (nested) and options that do not apply to this kind of log."""
-    given = list(chosen.given())
+def check_options(fields: Mapping[str, Any]) -> None:
+    """Raise InputError for given fields (nested) of the recorded robot; those that a log has no use for are ignored."""
     for name, value in fields.items():
-        given += [f"{name}.{part}" for part in value] if isinstance(value, Mapping) else [name] * bool(value)
-    kind = "" if log is None else kind_of(Path(log))
-    for name in given:
-        section = name.partition(".")[0]
-        if section in OF_THE_ROBOT or (name != section == "robot" and name != "robot.radius"):
+        is_of_robot = name == "robot" and isinstance(value, Mapping) and value.keys() - {"radius"}
+        if value and (name in OF_THE_ROBOT or is_of_robot):
             raise InputError(name, "found on replay", "options of the estimate, not of the recorded robot")
-        kinds = [each for each, taken in _TAKEN.items() if {name, section} & {*taken.split()}] or [kind]
-        if kind and kind not in kinds:
-            raise InputError(name, f"found on a log of kind {kind}", f"on {' or '.join(kinds)}")
 
 
 def check_out(log: str | Path, out: Path | None) -> None:
@@ -126,10 +106,7 @@ def open_recorded(
     if isinstance(relations, (str, Path)):
         files["relations"] = str(absolute(relations))
     opened = open_log(log, config.laser, *chosen[:2], config.assumed, chosen.odometry_frames, not config.no_odometry)
-    try:
-        return of_opened(opened, config, relations, absolute(log).name, files)
-    except InputError as error:
-        raise error.at(log if error.where == "log" else error.where) from None
+    return of_opened(opened, config, relations, absolute(log).name, files)
 
 
 def of_opened(
@@ -143,20 +120,19 @@ def of_opened(
 
     Raises InputError for a log that cannot be right, and as `relations_of`.
     """
-    log, config, findings = settled(log, config)
+    log, config, findings = settled(log, config, name)
     notes: list[str] = []
     if relations is not None:
         read = read_relations(relations) if isinstance(relations, (str, Path)) else relations
         relations = relations_of(log, read, "relations" if read is relations else str(relations), notes)
     notes += map(str, findings)
     if closures := sum(len(tick.closures or ()) for tick in log.ticks):
-        left = f"left out: {config.estimator} keeps no poses, isam2 does"
-        used = "used" if config.estimator == "isam2" else left
+        used = "used" if config.estimator == "isam2" else f"left out: {config.estimator} keeps no poses, isam2 does"
         notes.append(f"{closures} edges between earlier poses are loop closures, and are {used}")
     config = of_log(config, log)
     if config.no_odometry:
         stamps = [tick.stamp_ns for tick in log.ticks if tick.scan is not None]
-        if len(stamps) > 1 and float(np.median(np.diff(stamps))) < _LEAST_PERIOD_NS:
+        if np.isinf(passed_s(stamps)).any():
             raise InputError(name, "found scans whose stamps tell no time", "without odometry, stamps that do")
         notes.append(WITHOUT_ODOMETRY)
     return ReplayInput(name, log, config, relations, files or {}, tuple(notes))
@@ -181,7 +157,7 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
         raise InputError(name, found, "stamps of scans of the log")
     of_scans = stamps[rows[known]]
     off_s = float(np.abs(of_scans - relations.stamps[known]).max())
-    if not known.all() or off_s > _ROUNDED_S:
+    if not known.all() or off_s > EXACT_S:
         count = np.count_nonzero(known)
         text = f"{count} of {len(known)} relations are of scans, {off_s:.3g} s away at most"
         notes.append(f"{text}; {len(known) - count} name stamps of no scan and are left out")

@@ -178,7 +178,7 @@ def stated_reach(message: Any) -> float | None:
     return reach if 0.0 < reach <= FARTHEST_M else None
 
 
-def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range: float | None = None) -> Scan:
+def scan(message: Any, T_robot_laser: Pose, max_range: float | None = None) -> Scan:
     """The scan of a LaserScan message; ranges below range_min, and at range_max or beyond, are no returns.
 
     `max_range` replaces `range_max`, which a message has in float32 only, and may have too large or not at all. The
@@ -198,8 +198,6 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
         ranges = np.where(is_far | is_near | np.isnan(ranges), np.float32(np.inf), ranges)
     lag = float(message.time_increment)
     lag = lag if 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S else 0.0
-    if upside_down:
-        first, step = -first, -step
     if step < 0.0:
         first, step, ranges, lag = first + step * (count - 1), -step, ranges[::-1].copy(), -lag
     ranges.flags.writeable = False

@@ -20,9 +20,7 @@ from sixthsense.core.laser import sweep_ns
 from sixthsense.logs import ros_messages as ros
 from sixthsense.logs.finding import Finding
 from sixthsense.logs.laser_geometry import FARTHEST_M, max_range_of
-from sixthsense.logs.log import Log, Odometry, Sighting
-from sixthsense.logs.stamps import ascending, passed_s
-from sixthsense.logs.text_lines import check_regular
+from sixthsense.logs.log import Log, Odometry, Sighting, ascending, passed_s
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -67,7 +65,6 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        check_regular(path)
         files = bag_files(path) if path.is_dir() else [path]
         for file in files:
             if (kind := suffix_of(file)) not in ("", file.suffix):
@@ -194,11 +191,10 @@ def read_bag(
 ) -> Log:
     """Read a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file).
 
-    Scans and odometry are the topics of type LaserScan, or MultiEchoLaserScan, and Odometry; a topic of poses is
-    odometry where it is named by `topics`. Without a topic of odometry, or with `frames`, it is a transform of /tf;
-    without one that moves there, or without `odometry`, the log has scans alone. Beams and ranges are those of each
-    message. Scans are of the frame that most of them have. The mount is `laser.mount` if it is stated, else that of
-    /tf_static, or of /tf where it stands still.
+    Scans and odometry are the topics of type LaserScan, or MultiEchoLaserScan, and Odometry. Without a topic of
+    odometry, or with `frames`, it is a transform of /tf; without one that moves there, or without `odometry`, the log
+    has scans alone. Beams and ranges are those of each message. Scans are of the frame that most of them have. The
+    mount is `laser.mount` if it is stated, else that of /tf_static, or of /tf where it stands still.
 
     Stamps are those of the headers, of the recording where these are not set or do not ascend. The stamp of a sweep is
     that of its first beam in the message and of its last beam in the tick. A message that cannot be used is left out,
@@ -226,8 +222,9 @@ def read_bag(
         raise InputError(f"{path} /tf", str(error)) from None
     _describe(recording)
     unlimited = [each.value.ranges for each in recording.scans if each.value.max_range >= FARTHEST_M]
-    limit = max_range_of(unlimited) if unlimited else FARTHEST_M
-    if unlimited:
+    is_stated = "max_range" in laser.model_fields_set
+    limit = FARTHEST_M if not unlimited else laser.max_range if is_stated else max_range_of(unlimited)
+    if unlimited and not is_stated:
         text = f"since range_max is not the range of a laser in {len(unlimited)} of {len(recording.scans)} scans"
         recording.found.append(Finding("assumed_range", limit, place=text))
     for k, each in enumerate(recording.scans):
@@ -240,16 +237,16 @@ def read_bag(
 def _read(path: Path, reader: AnyReader, recording: _Recording, topics: Sequence[str], has_odometry: bool) -> str:
     """Read the messages of scans, odometry and transforms; the topic of odometry, "" where it is not of a topic."""
     types = _topics_of(reader)
-    known = (*_SCANS, ros.ODOMETRY, _SPREAD, _STAMPED[0])
+    known = (*_SCANS, ros.ODOMETRY)
     if unknown := [topic for topic in topics if types.get(topic) not in known]:
         _only_topic(path, types, known, "`topics`", unknown)
     named = [topic for topic in topics if types[topic] in _SCANS]
     of_scans = _only_topic(path, types, _SCANS, "`topics`", named)
     named, of_odometry = [topic for topic in topics if types[topic] not in _SCANS], ""
-    if has_odometry and (named or ros.ODOMETRY in types.values()):
-        of_odometry = _only_topic(path, types, known[2:] if named else [ros.ODOMETRY], "`topics`", named)
+    if has_odometry and ros.ODOMETRY in types.values():
+        of_odometry = _only_topic(path, types, [ros.ODOMETRY], "`topics`", named)
     wanted = [c for c in reader.connections if c.topic in (of_scans, of_odometry) or c.msgtype in _TRANSFORMS]
-    for connection, record_ns, raw in _messages(reader, wanted, recording.found):
+    for connection, record_ns, raw in reader.messages(wanted):
         topic = connection.topic
         try:
             message: Any = reader.deserialize(raw, connection.msgtype)
@@ -259,11 +256,12 @@ def _read(path: Path, reader: AnyReader, recording: _Recording, topics: Sequence
             stamps = ros.stamp_ns(message), record_ns
             if topic == of_scans:
                 limit = FARTHEST_M if ros.stated_reach(message) is None else None
-                scan, frame = ros.scan(message, Pose(), max_range=limit), ros.frame_name(message.header.frame_id)
+                scan, frame = ros.scan(message, Pose(), limit), ros.frame_name(message.header.frame_id)
                 recording.scans.append(_Stamped(*stamps, scan, frame, message))
             else:
-                robot = ros.frame_name(getattr(message, "child_frame_id", ""))
-                recording.odometry.append(_Stamped(*stamps, ros.planar(message), robot))
+                recording.odometry.append(
+                    _Stamped(*stamps, ros.planar(message), ros.frame_name(message.child_frame_id))
+                )
         except Exception as error:  # damaged bytes raise whatever they lead to
             recording.refused[topic].append(reason_of(error))
     for topic, has in ((of_scans, recording.scans), (of_odometry, recording.odometry)):
@@ -271,20 +269,6 @@ def _read(path: Path, reader: AnyReader, recording: _Recording, topics: Sequence
             reason = (recording.refused[topic] or ["none"])[0]
             raise InputError(f"{path} {topic}", f"found no message that can be used: {reason}")
     return of_odometry
-
-
-def _messages(reader: AnyReader, known: Sequence[Any], found: list[Finding]) -> Iterator[tuple[Any, int, bytes]]:
-    """The messages of connections, up to the first damage of the file."""
-    count = 0
-    try:
-        for each in reader.messages(connections=list(known)):
-            yield each
-            count += 1
-    except Exception as error:
-        if not count:
-            raise
-        text = f"the bag is damaged after {count} messages, which are read ({reason_of(error)})"
-        found.append(Finding("cut_short", place=text))
 
 
 def _mount(recording: _Recording, laser: LaserConfig, frame: str) -> tuple[Pose, bool]:

@@ -22,10 +22,9 @@ from sixthsense.config.errors import InputError, reason_of
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import Closure, Tick
+from sixthsense.core.source import Closure, Tick, seconds
 from sixthsense.logs.finding import Finding
 from sixthsense.logs.log import Log
-from sixthsense.logs.text_lines import check_regular
 
 FILE = "record.mcap"
 FORMAT = 4
@@ -64,7 +63,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> Log:
         ticks = ticks_of(messages, Pose(*laser.mount))
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         raise InputError(file, f"found no scan and no observation{' before it ends' * is_cut}", "the record of a run")
-    used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
+    used_s = seconds(ticks[-1].stamp_ns - ticks[0].stamp_ns)
     text = f"the recording is incomplete; its first {used_s:.1f} s are used"
     return Log(ticks, laser, [Finding("cut_short", used_s, place=text)] * is_cut)
 
@@ -136,7 +135,6 @@ def read_messages(file: Path) -> tuple[list[Message], bool]:
 
     is_cut, raw = False, []
     with readable(file):
-        check_regular(file)
         with file.open("rb") as stream:
             reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_CHUNK)
             try:

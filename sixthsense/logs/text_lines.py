@@ -1,4 +1,4 @@
-"""Text logs: records and tables of a plain or compressed file; errors of a log name file and line."""
+"""Text logs: records, tables and trajectories of a plain or compressed file; errors of a log name file and line."""
 
 from __future__ import annotations
 
@@ -26,13 +26,12 @@ _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 26, 200
 """bytes that a file may hold; text of numbers compresses to a tenth, hardly to a hundredth"""
 _OPENERS: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
 """by the first bytes of a compressed file"""
-
-
-def check_regular(path: Path) -> None:
-    """Raise InputError if a path, or a file in that folder, is a pipe or a device, which may never end."""
-    for file in (path, *path.iterdir()) if path.is_dir() else (path,):
-        if file.exists() and not (file.is_file() or file.is_dir()):
-            raise InputError(file, "is a pipe or a device", "a file")
+_SECONDS = 1e8
+"""Stamps since 1970 of any log are larger: it is of 1973."""
+_ALLOWED = "8 (stamp x y z qx qy qz qw), 4 (stamp x y theta), or EuRoC's, with their header"
+_HINTS = {12: ", as those of KITTI, which have no stamps", 16: ", are there decimal commas?"}
+_SIZES = {6: 3, 21: 6, 9: 3, 36: 6}
+"""numbers of a covariance, its upper triangle or all, and its size"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +96,9 @@ class Table(NamedTuple):
     numbers: Array
     """(N, columns)"""
 
-    def stamps_ns(self, column: int = 0, parts: int = 1) -> NDArray[np.int64]:
-        """(N,) stamps, nanoseconds, of a column in `parts` of a second."""
-        return np.array([record.stamp_ns(record.fields[column], parts) for record in self.records], dtype=np.int64)
+    def stamps_ns(self, parts: int = 1) -> NDArray[np.int64]:
+        """(N,) stamps, nanoseconds, of the first column in `parts` of a second."""
+        return np.array([record.stamp_ns(record.fields[0], parts) for record in self.records], dtype=np.int64)
 
 
 def read_table(path: Path, columns: str = "") -> Table:
@@ -111,7 +110,7 @@ def read_table(path: Path, columns: str = "") -> Table:
     header: list[bytes] = []
     found: list[Record] = []
     for number, line in lines(path):
-        fields = words(line)
+        fields = line.translate(bytes.maketrans(b",;", b"  ")).split()
         if not found and fields and not re.match(rb"[-+.0-9]|nan", fields[0]):
             header.append(line)
         elif fields and not fields[0].startswith(b"#"):
@@ -126,14 +125,6 @@ def read_table(path: Path, columns: str = "") -> Table:
     return Table(header, found, np.array([record.numbers(record.fields, 1e9 * LAST_STAMP_S) for record in found]))
 
 
-def first_word(file: Path) -> bytes:
-    """The first word of a text that is no comment; empty where there is none, and for a file that cannot be read."""
-    try:
-        return next((record.fields[0] for record in records(file)), b"")
-    except InputError:
-        return b""
-
-
 def records(path: Path) -> Iterator[Record]:
     """The lines of a file as words between spaces; those that are blank or begin with # are skipped."""
     for number, line in lines(path):
@@ -142,16 +133,12 @@ def records(path: Path) -> Iterator[Record]:
             yield Record(path, number, fields)
 
 
-def words(line: bytes) -> list[bytes]:
-    """What stands between spaces, commas or semicolons."""
-    return line.translate(bytes.maketrans(b",;", b"  ")).split()
-
-
 def lines(path: Path) -> Iterator[tuple[int, bytes]]:
     """Number (from 1) and bytes of each line of a file; one that is compressed is known by its first bytes."""
     number = 0
     try:
-        check_regular(path)
+        if path.exists() and not (path.is_file() or path.is_dir()):  # which may never end
+            raise InputError(path, "is a pipe or a device", "a file")
         with path.open("rb") as raw:
             left = _BASE_BUDGET + _BUDGET_PER_BYTE * path.stat().st_size
             begin = raw.peek(6)
@@ -167,3 +154,57 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise InputError(path, "no such file") from None
     except (EOFError, OSError, zlib.error, lzma.LZMAError) as error:
         raise InputError(path, f"cannot be read after line {number} ({reason_of(error)})") from None
+
+
+def unit_of(stamps: Array) -> tuple[int, str]:
+    """Parts of a second, and their name, that stamps since 1970 of this size are in; seconds for any others."""
+    largest = float(np.abs(stamps).max(initial=0.0))
+    for parts, name in ((10**9, "nanoseconds"), (10**6, "microseconds"), (10**3, "milliseconds")):
+        if largest > _SECONDS * parts:
+            return parts, name
+    return 1, "seconds"
+
+
+def read_trajectory(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (N,), ns, and poses, (N, 7) x y z qx qy qz qw or (N, 3) x y theta; plain or compressed.
+
+    Columns are those of TUM files, or stamp x y theta; those of EuRoC, of which more may follow, where a header has qw
+    before qx. Any other header is skipped. Stamps are seconds, or as large as those in a part of a second since 1970,
+    which is said in `notes`. Raises InputError, naming the line, for one that has other numbers, and for a quaternion
+    of zeros.
+    """
+    table = read_table(file)
+    width = table.numbers.shape[1]
+    is_w_first = width >= 8 and re.search(rb"q[a-z_]*w\b.*q[a-z_]*x\b", b"".join(table.header).lower())
+    if width not in (4, 8) and not is_w_first:
+        table.records[0].fail(f"found {width} fields{_HINTS.get(width, '')}, allowed: {_ALLOWED}")
+    values = table.numbers[:, (1, 2, 3, 5, 6, 7, 4) if is_w_first else range(1, width)]
+    is_turned = values[:, 3:].any(axis=1)
+    if width > 4 and not is_turned.all():
+        table.records[int(np.argmin(is_turned))].fail("found a quaternion that is zero, allowed: a rotation")
+    return _stamps_ns(table, notes), values
+
+
+def read_covariances(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): in a line a stamp, and the upper triangle or all.
+
+    By rows: 6 or 9 numbers are of SE(2), 21 or 36 of SE(3). Stamps and `notes` are as of `read_trajectory`. Raises
+    InputError, naming the line, for any other.
+    """
+    table = read_table(file)
+    values = table.numbers[:, 1:]
+    if (count := values.shape[1]) not in _SIZES:
+        table.records[0].fail(f"found {count + 1} fields, allowed: a stamp and 6, 9, 21 or 36 numbers of a covariance")
+    size = _SIZES[count]
+    rows, columns = np.indices((size, size)).reshape(2, -1) if count == size * size else np.triu_indices(size)
+    covs = np.zeros((len(values), size, size))
+    covs[:, columns, rows] = covs[:, rows, columns] = values
+    return _stamps_ns(table, notes), covs
+
+
+def _stamps_ns(table: Table, notes: list[str]) -> NDArray[np.int64]:
+    """(N,) stamps, ns, of the first column in seconds; in another unit if they say so, with a note."""
+    parts, name = unit_of(table.numbers[:, 0])
+    if parts > 1:
+        notes.append(f"{table.records[0].path}: stamps as large as {table.numbers[0, 0]:.0f} are taken as {name}")
+    return table.stamps_ns(parts)

@@ -13,7 +13,7 @@ from sixthsense.cli import main
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.metrics import nees_world
-from sixthsense.logs.trajectories import read_trajectory
+from sixthsense.logs.text_lines import read_trajectory
 
 N = 400
 STAMPS_NS = 1_700_000_000_000_000_000 + 100_000_000 * np.arange(N)
@@ -128,7 +128,7 @@ EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x
 @pytest.mark.parametrize(("head", "sep", "order"), [
     ([EUROC], ",", [0, 1, 2, 6, 3, 4, 5]),
     ([EUROC + ", v_RS_R_x [m s^-1], b_w_RS_S_x [rad s^-1]"], ",", [0, 1, 2, 6, 3, 4, 5, 7, 7]),
-    (["time;yaw;x;y"], "; ", [8, 0, 1]),
+    (["time;x;y;yaw"], "; ", [0, 1, 8]),
     ([], " ", [0, 1, 8]),
     (["# stamp x y z qx qy qz qw", "timestamp,x,y,z,qx,qy,qz,qw"], ", ", [0, 1, 2, 3, 4, 5, 6]),
 ])  # fmt: skip

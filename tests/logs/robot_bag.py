@@ -34,13 +34,12 @@ def way(seconds: float) -> Pose:
 
 def robot_bag(
     path: Path, kind: str = "mcap", *, seconds: float = 6.0, scan=lambda k, says: says, odom=lambda k, says: says,
-    links=LINKS, odom_in_tf: bool = False, late_s: float = 0.0, echo: bool = False, odom_type: str = "",
+    links=LINKS, odom_in_tf: bool = False, late_s: float = 0.0, echo: bool = False,
 ) -> Path:  # fmt: skip
     """Write the bag: odometry every 20 ms and a scan of 240 beams every 100 ms.
 
     `scan` and `odom` change what scan or pose number `k` says, a dictionary, or leave the message out by None. `links`
-    are constant transforms, static or of /tf. The scans' clock is `late_s` ahead of the others. Odometry may be poses
-    of another type.
+    are constant transforms, static or of /tf. The scans' clock is `late_s` ahead of the others.
     """
 
     def put_scan(k, record_ns):
@@ -70,12 +69,7 @@ def robot_bag(
             bag.transform("odom", "base_footprint", pose, stamp_ns=says["stamp_ns"])
             return
         pose = Pose(says["unit"] * pose.x, says["unit"] * pose.y, pose.theta)
-        topic = "/odom"
-        if odom_type:
-            shown = bag.pose(pose) if odom_type.endswith("PoseStamped") else bag.spread(pose)
-            bag.put(topic, odom_type, record_ns, bag.header(says["stamp_ns"], "odom"), shown)
-            return
-        bag.odometry(says["stamp_ns"], pose, topic, turn=says["turn"], child=says["child"], record_ns=record_ns)
+        bag.odometry(says["stamp_ns"], pose, "/odom", turn=says["turn"], child=says["child"], record_ns=record_ns)
 
     with Bag(path, kind) as bag:
         for where, *link in links:

@@ -131,7 +131,7 @@ BAD_FILES = [
     ("run m.yaml", {"m.yaml": MAP, "m.pgm": b"P5 50000 50000 255\n"}, "m.pgm: not a readable image ("),
     ("run m.yaml", {"m.yaml": MAP.replace("m.pgm", "/dev/zero")}, "/dev/zero: not a readable image (no such file)"),
     ("replay x.log.gz", {"x.log.gz": b"\x1f\x8b" + NOISE}, "x.log.gz: cannot be read after line 0 ("),
-    ("replay x.bag", {"x.bag": NOISE}, "x.bag: cannot be read as a bag"),
+    ("replay x.bag", {"x.bag": NOISE}, "x.bag: found no known kind of log"),
     ("replay run", {"run/config.toml": "", "run/record.mcap": NOISE}, "run/record.mcap: is not an MCAP file"),
 ]
 

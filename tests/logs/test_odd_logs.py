@@ -93,6 +93,12 @@ def test_an_odd_bag_has_its_returns_on_the_walls_and_says_what_is_odd(name, tmp_
         assert np.abs(turned).max() < 0.03
 
 
+def test_a_stated_maximum_range_is_that_of_messages_without_one(tmp_path):
+    bag = robot_bag(tmp_path / "bag", scan=at(every, "high", 0.0), seconds=1.0)
+    log = open_log(bag, ss.LaserConfig(max_range=3.7))
+    assert {scan.max_range for scan in log.scans} == {3.7} and not log.found
+
+
 # name: keywords of the bag, what is said
 REFUSED = {
     "degrees": ({"scan": at(every, "angle_unit", 180.0 / math.pi)}, "degrees, allowed: radians"),
@@ -113,13 +119,6 @@ def test_a_bag_that_cannot_be_right_is_refused_in_one_line_that_names_the_option
     with pytest.raises(InputError) as caught:
         read(robot_bag(tmp_path / "bag", **how))
     assert said in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_topic_of_poses_is_odometry_where_it_is_named(tmp_path):
-    bag = robot_bag(tmp_path / "bag", odom_type="geometry_msgs/PoseWithCovarianceStamped")
-    alone, log = open_log(bag), open_log(bag, topics=["/odom"])
-    assert not alone.has_odometry and log.has_odometry and off_walls_m(log.ticks) < 1e-4
-    assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array(), abs=1e-6)
 
 
 def only(has):

@@ -23,7 +23,7 @@ from sixthsense.logs.log import read_relations
 from sixthsense.logs.mrclam import true_landmarks
 from sixthsense.logs.ros_messages import spatial_covariance
 from sixthsense.logs.rosbag import read_poses
-from sixthsense.logs.trajectories import read_covariances, read_trajectory
+from sixthsense.logs.text_lines import read_covariances, read_trajectory
 from sixthsense.record.exports import write_map
 from sixthsense.simulation.scene import load_scene
 

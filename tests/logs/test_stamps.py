@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sixthsense.logs.log import Odometry
-from sixthsense.logs.stamps import ascending, matched, passed_s, unit_of
+from sixthsense.logs.log import Odometry, ascending, matched, passed_s
+from sixthsense.logs.text_lines import unit_of
 
 
 def test_a_stamp_matches_the_nearest_one_within_half_a_period():
