@@ -158,9 +158,8 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
 
 def unit_of(stamps: Array) -> tuple[int, str]:
     """Parts of a second, and their name, that stamps since 1970 of this size are in; seconds for any others."""
-    largest = float(np.abs(stamps).max(initial=0.0))
     for parts, name in ((10**9, "nanoseconds"), (10**6, "microseconds"), (10**3, "milliseconds")):
-        if largest > _SECONDS * parts:
+        if np.abs(stamps).max(initial=0.0) > _SECONDS * parts:
             return parts, name
     return 1, "seconds"
 
@@ -169,14 +168,15 @@ def read_trajectory(file: Path, notes: list[str]) -> tuple[NDArray[np.int64], Ar
     """Stamps (N,), ns, and poses, (N, 7) x y z qx qy qz qw or (N, 3) x y theta; plain or compressed.
 
     Columns are those of TUM files, or stamp x y theta; those of EuRoC, of which more may follow, where a header has qw
-    before qx. Any other header is skipped. Stamps are seconds, or as large as those in a part of a second since 1970,
-    which is said in `notes`. Raises InputError, naming the line, for one that has other numbers, and for a quaternion
-    of zeros.
+    before qx. Stamps are seconds, or as large as those in a part of a second since 1970, which is said in `notes`.
+    Raises InputError, naming the line, for one that has other numbers, for a quaternion of zeros, and where the header
+    names columns in another order.
     """
     table = read_table(file)
     width = table.numbers.shape[1]
-    is_w_first = width >= 8 and re.search(rb"q[a-z_]*w\b.*q[a-z_]*x\b", b"".join(table.header).lower())
-    if width not in (4, 8) and not is_w_first:
+    header = b"".join(table.header).lower()
+    is_w_first = width >= 8 and re.search(rb"q[a-z_]*w\b.*q[a-z_]*x\b", header)
+    if (width not in (4, 8) and not is_w_first) or re.search(rb"\b(yaw|theta|heading|y)\b.*\bx\b", header):
         table.records[0].fail(f"found {width} fields{_HINTS.get(width, '')}, allowed: {_ALLOWED}")
     values = table.numbers[:, (1, 2, 3, 5, 6, 7, 4) if is_w_first else range(1, width)]
     is_turned = values[:, 3:].any(axis=1)

@@ -143,3 +143,11 @@ def test_a_trajectory_with_a_header_or_in_the_plane_has_the_same_poses(head, sep
         lines.write(f"{STAMPS_NS[-1] + 1}{sep}nan\n")
     with pytest.raises(InputError, match=f"line {N + 1 + len(head)}: found 2 fields"):
         read_trajectory(file, notes)
+
+
+@pytest.mark.parametrize(
+    ("head", "order"), [("time yaw x y", [8, 0, 1]), ("stamp,Y,X,Z,qx,qy,qz,qw", [1, 0, 2, 3, 4, 5, 6])]
+)
+def test_a_trajectory_whose_header_has_another_order_is_refused(head, order, tmp_path):
+    with pytest.raises(InputError, match=r"line 2: found \d fields, allowed: 8 \(stamp x y z"):
+        read_trajectory(in_columns(tmp_path / "t.csv", [head], " ", order), [])

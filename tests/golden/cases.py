@@ -8,6 +8,10 @@ from pathlib import Path
 import sixthsense as ss
 from golden import drives
 from golden.drives import Drive
+from sixthsense.logs.replay_input import open_recorded
+from sixthsense.record.folder import RunFolder
+from sixthsense.running.merging import merged_log, replay_merged
+from sixthsense.running.runs import QUIET
 
 ROUND, OTHER_WAY = Drive(2.4, 0.31, 11), Drive(-0.7, -0.27, 12)
 SHORT = Drive(0.9, 0.31, 13, scans=60)
@@ -53,9 +57,13 @@ def bag(folder: Path, shift_m: float) -> None:
 
 def merged(folder: Path, shift_m: float) -> None:
     """Two recorded drives as one."""
-    drives.run_folder(OTHER_WAY, folder / "first", shift_m)
-    drives.run_folder(SHORT, folder / "second", shift_m)
-    ss.merge_runs(folder / "first", folder / "second", out=folder / "run", progress=False)
+    runs = []
+    for name, drive in (("first", OTHER_WAY), ("second", SHORT)):
+        drives.run_folder(drive, folder / name, shift_m)
+        config = ss.load_config(folder / name / "config.toml")
+        runs.append(open_recorded(folder / name, config.replaced(front_end="scan-matching", estimator="isam2")))
+    with RunFolder(folder / "run", runs[0].config) as out:
+        replay_merged(merged_log(*runs), out, QUIET)
 
 
 CASES: dict[str, Callable[[Path, float], None]] = {
