@@ -23,6 +23,7 @@ from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import (
     NEW_M,
+    SIGMAS,
     ExpectedPoses,
     Hypothesis,
     PlaceQuery,
@@ -35,7 +36,6 @@ from sixthsense.slam.thinning import OLD_AGE, Thinning
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
-_EXPECTED_SIGMAS = 2.0  # of the position, beyond which a place must be like no other that is known
 _LAST = 3  # scans that are searched for at the end
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 
@@ -152,14 +152,13 @@ class LoopClosures:
         if found is None or found.is_ambiguous or self._is_expected(key, found, sigmas[0]):
             return found
         self._places.seek(known, known)
-        anywhere = ExpectedPoses.anywhere(len(self._places.keys))
-        return best_place(query._replace(expected=anywhere), self._search)
+        return best_place(query._replace(expected=ExpectedPoses.anywhere(len(self._places.keys))), self._search)
 
     def _is_expected(self, key: int, found: Hypothesis, sigma_m: Array) -> bool:
         """Whether a place is where keyframe `key` is expected, by the sigmas relative to the scans that show it."""
         off = between(self._graph.poses[key], found.evidence.pose)
         shown_by = Alignments.joined(found.evidence.links).targets
-        return not len(shown_by) or math.hypot(off[0], off[1]) <= _EXPECTED_SIGMAS * float(sigma_m[shown_by].max())
+        return not len(shown_by) or math.hypot(off[0], off[1]) <= SIGMAS * float(sigma_m[shown_by].max())
 
     def close(self, links: Alignments) -> None:
         """Close a loop with the links of a place.

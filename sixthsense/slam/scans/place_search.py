@@ -40,7 +40,9 @@ from sixthsense.slam.scans.places import MOST_POINTS, PLACE, Apart, Pyramid, Win
 from sixthsense.slam.scans.tracking import FREEDOM
 
 _CANDIDATES = 8  # submaps that are searched
-_MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond two sigmas of a pose within a submap
+SIGMAS = 2.0
+"""of a pose, within which a place is expected"""
+_MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these it is searched for, too
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
@@ -73,11 +75,11 @@ class ExpectedPoses(NamedTuple):
     def window(self, place: int) -> Window | None:
         """Where around an anchor the scan may be; None if it is nowhere there."""
         x, y, theta = self.poses[place]
-        half_m = 2.0 * self.sigma_m[place] + _MARGIN_M
+        half_m = SIGMAS * self.sigma_m[place] + _MARGIN_M
         low, high = np.maximum((x - half_m, y - half_m), -HALF_M), np.minimum((x + half_m, y + half_m), HALF_M)
         if (low > high).any():
             return None
-        half_rad = min(2.0 * float(self.sigma_rad[place]) + _MARGIN_RAD, math.pi)
+        half_rad = min(SIGMAS * float(self.sigma_rad[place]) + _MARGIN_RAD, math.pi)
         return Window(np.array([*(0.5 * (low + high)), theta]), 0.5 * float((high - low).max()), half_rad)
 
 
