@@ -26,16 +26,16 @@ class SensorCalibration:
 
     def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
         """If `config` wants it, otherwise all stays as it is; InputError for an estimator that cannot do it."""
-        self._start, self._estimator, self._scale_variance = start, estimator, 0.0
+        self._start, self._scale_variance = start, SCALE_SIGMA**2 if config.calibrate_sensor else 0.0
+        self._filter = estimator if isinstance(estimator, Filter) else None  # once: the check takes a tenth of a tick
         if config.calibrate_sensor:
-            if not isinstance(estimator, Filter):
+            if self._filter is None:
                 raise InputError("calibrate_sensor", f"found true with {config.estimator}", NEEDS_FILTER)
-            estimator.calibrate(sensor_prior())
-            self._scale_variance = SCALE_SIGMA**2
+            self._filter.calibrate(sensor_prior())
 
     def sensor(self) -> ParameterEstimate[Sensor] | None:
         """The sensor's parameters, if they are estimated."""
-        return self._estimator.calibration(Sensor) if isinstance(self._estimator, Filter) else None
+        return None if self._filter is None else self._filter.calibration(Sensor)
 
     def corrected(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
         """Observations as the present parameters have them."""

@@ -9,7 +9,9 @@ import sixthsense as ss
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import FILTERS
+from sixthsense.core.geometry import Pose
 from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.slam.sensor_calibration import SCALE_SIGMA, SensorCalibration
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.label)
@@ -35,6 +37,15 @@ def test_a_run_with_worn_wheels_finds_their_errors_and_its_folder_keeps_them(tmp
     for key, sigma in zip(("forward_scale", "turn_scale"), run.trace.wheels[1], strict=False):
         assert abs(run.metrics[f"wheel_{key}_error"] - 0.02) < 3.5 * sigma and sigma < 0.03
     assert np.array_equal(ss.load(tmp_path / "run").trace.wheels, run.trace.wheels)
+
+
+def test_a_scale_that_is_not_known_moves_all_from_the_start_by_its_share_of_the_way_there():
+    config, start = preset("mrclam", calibrate_sensor=True), Pose(1.3, -0.7, 0.4)
+    sensor = SensorCalibration(config, EKF(start, np.zeros((3, 3))), start)
+    places, cov = np.array([2.1, 0.6, -1.5, 3.2]), np.diag([0.1, 0.2, 0.3, 0.4, 0.5])
+    moved = (np.array([[2.1, 0.6], [-1.5, 3.2]]) - start.position) * SCALE_SIGMA
+    off = np.array([*moved[0], 0.0, *moved[1]])
+    assert sensor.reported_joint(places, cov) == pytest.approx(cov + np.outer(off, off), abs=1e-12)
 
 
 class Points:
