@@ -58,6 +58,8 @@ def settings(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Config]:
     import sixthsense.api  # they take the functions before these are replaced
     import sixthsense.running.merging  # noqa: F401
 
+    for name, first in (("a.log", "ODOM "), ("a.graph", "VERTEX2 "), ("a.bag", "#ROSBAG V2.0")):
+        Path(name).write_text(f"{first}\n")
     found: list[Config] = []
 
     def catch(*args: Any, **_: Any) -> None:
@@ -92,7 +94,7 @@ DRIVE, REGION = "live --drive --region -1 -2 3 4", {"region": (-1.0, -2.0, 3.0, 
 BASES: dict[str, Config] = {
     "run": preset(),
     "simulate": preset(),
-    "replay a.clf": preset("log"),
+    "replay a.log": preset("log"),
     "replay a.bag": preset("log"),
     "replay a.graph": preset("victoria"),
     "replay robots": preset("mrclam"),
