@@ -6,7 +6,7 @@ WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./
 COPY sixthsense sixthsense
 COPY scenes scenes
-RUN python -m venv /opt/venv && /opt/venv/bin/pip install --no-cache-dir ".[campaign]"
+RUN python -m venv /opt/venv && /opt/venv/bin/pip install --no-cache-dir .
 
 # docker build --target interop -t sixthsense-interop . && docker run --rm sixthsense-interop
 # Live runs with a robot on Fast DDS, as ROS 2 speaks it; of Debian 12, whose Fast DDS is 2.9.

@@ -12,12 +12,12 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 $(VENV)/package: pyproject.toml
 	@echo "make: creating $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
-	@echo "make: installing the package and what a run needs, about 750 MB; pip says nothing for some minutes"
+	@echo "make: installing the package and what a run needs, about 800 MB; pip says nothing for some minutes"
 	@$(PIP) --editable .
 	@touch $@
 
 $(VENV)/installed: $(VENV)/package
-	@echo "make: installing what tests and documentation need besides, about 1.3 GB; pip says nothing for some minutes"
+	@echo "make: installing what tests and documentation need besides, about 400 MB; pip says nothing for some minutes"
 	@$(PIP) --editable ".[dev,docs]"
 	@touch $@
 

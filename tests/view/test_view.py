@@ -20,7 +20,7 @@ from sixthsense.config import preset
 from sixthsense.logs.log import Log
 from sixthsense.loop.run import run
 
-pytest.importorskip("rerun")
+pytest.importorskip("rerun", reason="needs the viewer: pip install -e '.[view]'")
 
 SHOWN = {
     "/map", "/map/true/walls", "/map/true/robot", "/map/true/driven", "/map/robot", "/map/scan",
