@@ -28,6 +28,13 @@ def difference_covariance(joint: Array, first: int, second: int) -> Array:
     return np.asarray(joint[a, a] + joint[b, b] - joint[a, b] - joint[b, a])
 
 
+def plus_blocks(matrix: Array, blocks: Array) -> Array:
+    """`matrix` (2m, 2m), which is changed, plus `blocks` (m, 2, 2) on its diagonal; much faster than `block_diag`."""
+    each = np.arange(len(blocks))
+    matrix.reshape(len(blocks), 2, len(blocks), 2)[each, :, each] += blocks
+    return matrix
+
+
 COVARIANCE_SLACK = 1e-9
 """Tolerance of symmetry and of positive eigenvalues, relative to the largest entry."""
 

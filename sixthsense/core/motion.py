@@ -214,9 +214,13 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig, wheels: Wheels |
     The multiplicative part is G Q G^T with Q depending on the command (the correct form of the report's eq. 8-9). Slip
     adds to it, and a small floor, without which the covariance has rank 2, or 1 when turning on the spot.
     """
+    return odometry_of_noise(before, after, OdometryNoise.of(assumed), wheels)
+
+
+def odometry_of_noise(before: Pose, after: Pose, noise: OdometryNoise, wheels: Wheels | None) -> Odometry:
+    """The same as `odometry`, by the noise that was computed once: for each control tick."""
     if before == after:
         return STANDSTILL  # the difference would have rounding errors that look like motion
-    noise = OdometryNoise.of(assumed)
     if wheels is None:
         motion, cov = increment(before.triple(), after.triple(), noise)
         return Odometry(Pose(*motion), cov)

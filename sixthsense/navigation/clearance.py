@@ -114,15 +114,17 @@ class Clearance:
         layer. A `robot` (2,) that stands where it is blocked may go where the clearance is no less than it has, within
         `wish_m`. Cells that are farther than `unseen_m` from all seen ones are blocked.
         """
-        lacking = np.float32(wish_m) / np.maximum(self.metres, np.float32(0.5 * self.cell_m))
-        cost = np.square(np.maximum(lacking, np.float32(1.0)))
+        cost = np.maximum(self.metres, np.float32(0.5 * self.cell_m))
+        np.divide(np.float32(wish_m), cost, out=cost)
+        np.square(np.maximum(cost, np.float32(1.0), out=cost), out=cost)
         blocked = self.blocked
         if robot is not None and blocked[self.cell(robot)]:
             blocked = blocked & ~self._way_out(self.cell(robot), wish_m)
         if unseen_m < math.inf:
             reach = max(1, round(unseen_m / self.cell_m))
             blocked = blocked | (ndimage.maximum_filter(self.seen.view(np.uint8), 2 * reach + 1) == 0)
-        cost[blocked] = np.inf
+        np.copyto(cost, np.inf, where=blocked)
+        cost.flags.writeable = False  # so that it is not copied
         return FreeSpace(blocked, self.seen, self.origin, self.cell_m, cost, self.offsets)
 
     def _way_out(self, cell: tuple[int, int], reach_m: float) -> Bools:
@@ -144,16 +146,18 @@ def _draw(distance: Floats, offsets: Floats, points: Array, limits: tuple[float,
     height, width = distance.shape
     least, most = limits
     wide = np.full((height + 2 * _SIDE, width + 2 * _SIDE), np.float32(most * most))  # with a rim
+    across_sq = np.empty(2 * math.ceil(most) + 2, dtype=np.float32)
     for k in range(len(points)):
         row, col = points[k, 0] - 0.5 + _SIDE, points[k, 1] - 0.5 + _SIDE
+        first = max(math.ceil(col - most), 0)
+        last = max(min(math.floor(col + most) + 1, wide.shape[1]), first)
+        for c in range(first, last):
+            across_sq[c - first] = np.float32((c - col) ** 2)
         for r in range(max(math.ceil(row - most), 0), min(math.floor(row + most) + 1, len(wide))):
-            down_sq, line = np.float32((r - row) ** 2), wide[r]
-            half = math.sqrt(max(most * most - float(down_sq), 0.0))
-            first = max(math.ceil(col - half), 0)
-            step = np.float32(first - col)
-            for c in range(first, min(math.floor(col + half) + 1, len(line))):
-                line[c] = min(line[c], down_sq + step * step)
-                step += np.float32(1.0)
+            # A slice, and nothing else in the loop: several cells at once.
+            down_sq, line = np.float32((r - row) ** 2), wide[r, first:last]
+            for c in range(len(line)):
+                line[c] = min(line[c], down_sq + across_sq[c])
     wide[:] = np.sqrt(wide)
     distance[:], offsets[:] = wide[_SIDE:-_SIDE, _SIDE:-_SIDE], 0.0
     reach = math.ceil(least) + 2
@@ -162,10 +166,17 @@ def _draw(distance: Floats, offsets: Floats, points: Array, limits: tuple[float,
         r, c = math.floor(points[k, 0]) + reach, math.floor(points[k, 1]) + reach
         if 0 <= r < at.shape[0] and 0 <= c < at.shape[1]:
             at[r, c] = k
+    near = np.empty((len(points), 2))
     for r in range(height):
         for c in range(width):
             if least - 1.0 <= distance[r, c] < least + 0.5 and _is_ridge(wide, r + _SIDE, c + _SIDE):
-                down, across, away = _middle(at[r : r + 2 * reach + 1, c : c + 2 * reach + 1], points, r + 0.5, c + 0.5)
+                count = 0
+                for i in range(r, r + 2 * reach + 1):
+                    for j in range(c, c + 2 * reach + 1):
+                        if at[i, j] >= 0:
+                            near[count] = points[at[i, j]]
+                            count += 1
+                down, across, away = _middle(near[:count], r + 0.5, c + 0.5)
                 if away > distance[r, c]:
                     offsets[r, c, 0], offsets[r, c, 1] = np.float32(down), np.float32(across)
                     distance[r, c] = np.float32(away)
@@ -182,29 +193,26 @@ def _is_ridge(distance: Floats, row: int, col: int) -> bool:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _middle(at: NDArray[np.int32], points: Array, row: float, col: float) -> tuple[float, float, float]:
+def _middle(points: Array, row: float, col: float) -> tuple[float, float, float]:
     """The offset from a cell's centre to the middle of the gap that it is in, within the cell, and its distance.
 
-    `at` has the points in the cells around it, -1 where there is none. Without a gap the distance is 0.
+    `points` (N, 2) are those around it. Without a gap the distance is 0.
     """
     near, down, across = np.inf, 0.0, 0.0
-    for k in at.flat:
-        if k >= 0:
-            away = math.hypot(row - points[k, 0], col - points[k, 1])
-            if 0.0 < away < near:
-                near, down, across = away, (row - points[k, 0]) / away, (col - points[k, 1]) / away
+    for point in points:
+        away = math.hypot(row - point[0], col - point[1])
+        if 0.0 < away < near:
+            near, down, across = away, (row - point[0]) / away, (col - point[1]) / away
     far = np.inf
-    for k in at.flat:
-        if k >= 0:
-            to_row, to_col = points[k, 0] - row, points[k, 1] - col
-            away = math.hypot(to_row, to_col)
-            if to_row * down + to_col * across > _OPPOSITE * away:
-                far = min(far, away)
+    for point in points:
+        to_row, to_col = point[0] - row, point[1] - col
+        away = math.hypot(to_row, to_col)
+        if to_row * down + to_col * across > _OPPOSITE * away:
+            far = min(far, away)
     if far == np.inf:
         return 0.0, 0.0, 0.0
     shift = min(0.5 * (far - near), 0.49 / max(abs(down), abs(across)))
     down, across, found = down * shift, across * shift, np.inf
-    for k in at.flat:
-        if k >= 0:
-            found = min(found, math.hypot(row + down - points[k, 0], col + across - points[k, 1]))
+    for point in points:
+        found = min(found, math.hypot(row + down - point[0], col + across - point[1]))
     return down, across, found

@@ -48,14 +48,9 @@ class DriverLimits(NamedTuple):
         """Those of a configuration: a robot is stuck after twice the time of its patient turns and of some progress."""
         follow, robot = config.follow, config.robot
         patience_s = 2.0 * (PATIENT_TURNS * math.tau / robot.turn_rate + _PROGRESS_M / robot.speed)
-        return DriverLimits(
-            float(follow.distance_slack_m),
-            float(follow.heading_slack_rad),
-            float(robot.speed),
-            float(robot.turn_rate),
-            float(robot.control_period_s),
-            patience_s * 10**9,
-        )
+        slacks = follow.distance_slack_m, follow.heading_slack_rad
+        limits = *slacks, robot.speed, robot.turn_rate, robot.control_period_s, patience_s * 10**9
+        return DriverLimits(*map(float, limits))
 
 
 class Drive(NamedTuple):

@@ -100,7 +100,8 @@ class ExplorationView:
         views = np.array([target.viewpoint for target in targets]) - self.map.first
         stops = np.vstack([self.map.here, views, self.map.cell(self.home)]) // self.map.side
         lengths, cost = np.zeros((len(stops), len(stops))), self.map.tile_cost(1.0)
-        for k in range(len(stops) - 1):
+        lengths[0, 1:] = self.map.ways[tuple(stops[1:].T)]
+        for k in range(1, len(stops) - 1):
             ways, _ = ways_from(self.map.links, cost, tuple(stops[k].tolist()), stops[k + 1 :])
             lengths[k, k + 1 :] = ways[tuple(stops[k + 1 :].T)]
         lengths += lengths.T

@@ -65,7 +65,7 @@ class Known(NamedTuple):
         areas, count = ndimage.label(near)
         is_inside = np.zeros(count + 1, dtype=np.bool_)
         inside = cells_within(region, cell_m, -0.5 * cell_m).within(first, near.shape)
-        is_inside[np.unique(areas[inside])] = True
+        is_inside[areas[inside].ravel()] = True
         is_inside[0] = False
         return cls(~(unknown | obstacles), is_inside[areas])
 

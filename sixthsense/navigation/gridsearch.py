@@ -19,6 +19,7 @@ from sixthsense.slam.mapping.freespace import Bools, Floats
 Cells = NDArray[np.int64]
 """(N, 2) row, col."""
 Cell = tuple[int, int]
+_TILES = (1 << 32) - 1  # bits of a number in a queue that are of the tile, below those of its cost
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -100,12 +101,16 @@ def ways_from(links: Links, cost: Floats, start: Cell, wanted: Cells) -> tuple[F
         missing += not is_wanted[tile]
         is_wanted[tile] = True
     costs[start] = 0.0
-    queue = [(np.float32(0.0), start[0] * cols + start[1])]
+    # Costs and tiles in one number each, whose order is theirs: the bits of floats that are not negative ascend.
+    cost_bits = costs.view(np.int32)
+    queue = [np.int64(start[0] * cols + start[1])]
     while queue:
-        spent, tile = heapq.heappop(queue)
+        first = heapq.heappop(queue)
+        tile = first & _TILES
         row, col = tile // cols, tile % cols
-        if spent > costs[row, col]:
+        if first >> 32 > cost_bits[row, col]:
             continue
+        spent = costs[row, col]
         if is_wanted[tile]:
             is_wanted[tile] = False
             missing -= 1
@@ -113,16 +118,14 @@ def ways_from(links: Links, cost: Floats, start: Cell, wanted: Cells) -> tuple[F
                 break
         for r in range(max(row - 1, 0), min(row + 2, rows)):
             for c in range(max(col - 1, 0), min(col + 2, cols)):
-                low, left = min(r, row), min(c, col)
-                is_way = True
-                if c != col:
-                    is_way = links.right[row, left] and links.right[r, left]
-                if r != row:
-                    is_way = is_way and links.up[low, col] and links.up[low, c]
                 length = math.sqrt(2.0) if r != row and c != col else 1.0
                 there = np.float32(spent + 0.5 * length * (cost[row, col] + cost[r, c]))
-                if is_way and there < costs[r, c]:
+                if not there < costs[r, c]:
+                    continue
+                low, left = min(r, row), min(c, col)
+                is_way = c == col or (links.right[row, left] and links.right[r, left])
+                if is_way and (r == row or (links.up[low, col] and links.up[low, c])):
                     costs[r, c] = there
                     before[r * cols + c] = tile
-                    heapq.heappush(queue, (there, r * cols + c))
+                    heapq.heappush(queue, (np.int64(cost_bits[r, c]) << 32) + r * cols + c)
     return costs, before

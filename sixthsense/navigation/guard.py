@@ -18,7 +18,7 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.se2 import Triple
+from sixthsense.core.se2 import Triple, compose
 from sixthsense.core.source import Command
 from sixthsense.slam.mapping.mapper import BODY_M
 
@@ -188,24 +188,19 @@ class Guard:
         """how often a moving robot was stopped"""
         self.waits_for_moving = False
         """whether what moves is nearest in the way of the latest command"""
-        self.limits = GuardLimits(
-            bool(config.safety.guard),
-            float(radius_m + BUFFER_M),
-            float(radius_m),
-            float(radius_m + BUFFER_M + BODY_M),
-            float(latency_s(config)),
-            float(config.robot.deceleration),
-            CREEP,
-        )
+        radii = radius_m + BUFFER_M, radius_m, radius_m + BUFFER_M + BODY_M
+        limits = map(float, (*radii, latency_s(config), config.robot.deceleration, CREEP))
+        self.limits = GuardLimits(bool(config.safety.guard), *limits)
         """what it allows"""
         self._scan: Scan | None = None  # the latest one, until its returns are needed
         self._obstacles = Obstacles(_NOTHING, _NOTHING, _NOTHING)
-        self._since = self._at = Pose()
+        self._since: Triple = (0.0, 0.0, 0.0)
+        self._at = self._since
         period_s, speed = config.laser.period_ticks * config.robot.control_period_s, float(config.robot.speed)
         count = math.ceil(REMEMBERED_S / period_s)
         self._before: deque[Array] = deque(maxlen=count)
         """(K, 2) near returns of each scan before the latest one, frame of the guard's odometry"""
-        self._waiting: deque[tuple[Scan, Pose]] = deque(maxlen=count + 1)
+        self._waiting: deque[tuple[Scan, Triple]] = deque(maxlen=count + 1)
         """scans up to the latest one whose returns were not needed yet, and where the robot stood"""
         braking_m = stopping_distance(speed, self.limits.latency_s, self.limits.deceleration)
         self._near_m = float(radius_m + braking_m + speed * REMEMBERED_S)
@@ -214,11 +209,12 @@ class Guard:
 
     def moved(self, motion: Pose) -> None:
         """Take in the motion of a control tick from odometry, `T_before_after`."""
-        self._since, self._at = self._since @ motion, self._at @ motion
+        step = motion.triple()  # of triples: it is called at each control tick
+        self._since, self._at = compose(self._since, step), compose(self._at, step)
 
     def see(self, scan: Scan, moving_robot: Array = _NOTHING) -> None:
         """Take in a scan from the robot's present pose, and those of its returns (M, 2), robot's frame, that move."""
-        self._scan, self._since = scan, Pose()
+        self._scan, self._since = scan, (0.0, 0.0, 0.0)
         if len(self._obstacles.moving):
             self._before.clear()  # what moves was elsewhere
             self._waiting.clear()
@@ -245,8 +241,8 @@ class Guard:
         before = self._stopped
         speed, turn_rate, self._stopped, self.waits_for_moving = checked(
             (float(command.speed), float(command.turn_rate)),
-            self._since.triple(),
-            self._at.triple(),
+            self._since,
+            self._at,
             self.obstacles(),
             self.waits_for_moving,
             self.limits,
@@ -260,7 +256,7 @@ class Guard:
             scan, self._scan = self._scan, None
             while len(self._waiting) > 1:
                 before, at = self._waiting.popleft()
-                self._before.append(at @ before.returns_robot[before.ranges[before.is_return] < self._near_m])
+                self._before.append(Pose(*at) @ before.returns_robot[before.ranges[before.is_return] < self._near_m])
             self._obstacles = Obstacles(
                 scan.returns_robot.copy(), self._obstacles.moving, np.concatenate([_NOTHING, *self._before])
             )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.navigation.frontier import Known, Piece, Region, frontier_pieces
+from sixthsense.navigation.frontier import Known, Piece, Region, cells_within, frontier_pieces
 from sixthsense.navigation.gridsearch import Cell, Cells, Links, ways_from
 from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.visibility import nearest_view
@@ -19,6 +19,7 @@ from sixthsense.slam.mapping.freespace import Bools, Floats
 
 TILE_M = 0.2
 """side of the tiles by which ways are measured, unless the robot is narrower: no way leads through a wall"""
+_RIM = 4  # unknown cells around the known ones, so that all of the frontier is in the masks
 
 
 class ViewMap:
@@ -36,8 +37,9 @@ class ViewMap:
         self.side = max(1, min(round(TILE_M / self.cell_m), math.floor(clearance.least_m / self.cell_m)))
         """cells of a tile's side"""
         space = map_.free_space(pose)
-        parts = tuple(slice(0, length // self.side * self.side) for length in space.blocked.shape)
-        self.first: Cell = (clearance.box.top, clearance.box.left)
+        wanted = cells_within(region, self.cell_m, outside_m).within(clearance.box[:2], clearance.seen.shape)
+        parts = _parts(clearance.seen | clearance.obstacles, clearance.cell(pose.position), wanted, self.side)
+        self.first: Cell = (clearance.box.top + parts[0].start, clearance.box.left + parts[1].start)
         """row and col of the masks' corner, counted from the world's origin"""
         self.metres = clearance.metres[parts]
         self.seen, self.obstacles = space.seen[parts], clearance.obstacles[parts]
@@ -120,3 +122,16 @@ class ViewMap:
             return row, col
         row, col = near[int(np.argmin(((near - (row, col)) ** 2).sum(axis=1)))].tolist()
         return row, col
+
+
+def _parts(known: Bools, here: Cell, wanted: tuple[slice, slice], side: int) -> tuple[slice, slice]:
+    """The rows and columns of what is known (H, W), with unknown cells around it, of `here`, and of what is wanted.
+
+    They are of whole tiles of `side` cells.
+    """
+    found = []
+    for axis, span in enumerate(wanted):
+        cells = [*np.flatnonzero(known.any(axis=1 - axis)).tolist(), here[axis], span.start, span.stop]
+        low, high = max(min(cells) - _RIM, 0), max(cells) + 1 + _RIM
+        found.append(slice(low // side * side, min(-(-high // side), known.shape[axis] // side) * side))
+    return found[0], found[1]

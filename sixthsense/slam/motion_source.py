@@ -20,7 +20,7 @@ from sixthsense.config import AssumedConfig, Config, WheelsConfig
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import NEEDS_FILTER
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.core.motion import Odometry, odometry
+from sixthsense.core.motion import Odometry, OdometryNoise, odometry_of_noise
 from sixthsense.core.parameters import ParameterEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import Wheels, wheel_prior
@@ -37,7 +37,7 @@ class ByWheels:
 
     def __init__(self, assumed: AssumedConfig, estimate: ParameterEstimate[Wheels] | None = None) -> None:
         """By the assumed noise, and by the newest `estimate` of the parameters if they are estimated."""
-        self._assumed, self.estimate = assumed, estimate
+        self._errors, self._noise, self.estimate = assumed.wheels, OdometryNoise.of(assumed), estimate
         self._is_stated = False
         """whether the log states the covariance of the newest increment"""
 
@@ -49,14 +49,15 @@ class ByWheels:
         self._is_stated = tick.increment_cov is not None
         if tick.increment_cov is not None:
             return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
-        return odometry(before, tick.odometry, self._assumed, None if self.estimate is None else self.estimate.values)
+        wheels = None if self.estimate is None else self.estimate.values
+        return odometry_of_noise(before, tick.odometry, self._noise, wheels)
 
     def for_estimator(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe, with the errors of wheels unless the log states its covariance.
 
         It is that which is reported between keyframes, and which the estimator is given at the next keyframe.
         """
-        return since if self._is_stated else with_wheel_errors(since, self._assumed.wheels)
+        return since if self._is_stated else with_wheel_errors(since, self._errors)
 
     for_tracking = for_estimator
     """the same, for a scan to be aligned from"""

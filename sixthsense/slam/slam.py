@@ -121,7 +121,7 @@ class Slam:
             self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
             scan = None if tick.scan is None else self._deskew(tick.scan)
         placed, still, moving = increment, scan, NOTHING_MOVES
-        guess = self.pose if increment is None else self.pose @ increment.motion
+        guess = self.pose if scan is None or increment is None else self.pose @ increment.motion
         if scan is not None and self._moving is not None:
             # Not for features, which take moving legs for what they are: something that hides a wall.
             still, moving = self._moving.split(scan, guess, tick.stamp_ns)

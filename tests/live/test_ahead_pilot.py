@@ -74,7 +74,7 @@ def test_a_late_scan_leaves_earlier_returns_where_they_are():
             pilot.steer(slam.take(Tick(first.stamp_ns + 10**8 * k, at, scan)))
             pilot.ahead(late, k)
         obstacles = guard.obstacles()
-    T_world_guard = start @ first.odometry.inverse() @ at @ late @ guard._at.inverse()
+    T_world_guard = start @ first.odometry.inverse() @ at @ late @ Pose(*guard._at).inverse()
     far_m = [point_segment_distance(point, HALL).min() for point in T_world_guard @ obstacles.earlier]
     assert len(far_m) > 50 and max(far_m) < 0.06
 

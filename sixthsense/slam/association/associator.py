@@ -146,9 +146,9 @@ class Associator:
         kept = np.flatnonzero(estimate.walls & np.isin(estimate.ids, list(self.records)))
         records = [self.records[i] for i in estimate.ids[kept].tolist()]
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
-        for record, extent in zip(records, on_lines(estimate.landmarks[kept], extents), strict=True):
-            if np.abs(extent - record.extent).max() > _ROUNDING_M:
-                record.extent = extent
+        moved = on_lines(estimate.landmarks[kept], extents)
+        for k in np.flatnonzero(np.abs(moved - extents).max(axis=(1, 2)) > _ROUNDING_M).tolist():
+            records[k].extent = moved[k]
 
     def _seen_again(
         self, observations: Sequence[Observation], matches: Matches

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, solve_triangular
 
-from sixthsense.core.covariance import check_covariance
+from sixthsense.core.covariance import check_covariance, plus_blocks
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of, predictions, stacked, translations
 from sixthsense.core.landmarks import (
@@ -212,7 +212,7 @@ class EKF:
                 H[2 * k : 2 * k + 2, self._at[Sensor]] = -sensor.jacobian(sensor.reported(predicted[k]))
         index = np.concatenate([np.arange(self._head), self._places(slots)])
         cross = H @ self._cov[index]  # (2m, n)
-        root = np.linalg.cholesky(cross[:, index] @ H.T + block_diag(*noise))
+        root = np.linalg.cholesky(plus_blocks(cross[:, index] @ H.T, noise))
         W = solve_triangular(root, cross, lower=True).T  # (n, 2m)
         self._cov -= W @ W.T
         return np.asarray(W @ solve_triangular(root, innovation.ravel(), lower=True))
@@ -237,7 +237,7 @@ class EKF:
             means.append(mean)
             centres.append(centre)
         cross = G @ self._cov[: self._head]
-        own = cross[:, : self._head] @ G.T + block_diag(*noise)
+        own = plus_blocks(cross[:, : self._head] @ G.T, np.array(noise))
         self._cov = np.block([[self._cov, cross.T], [cross, 0.5 * (own + own.T)]])
         self._means, self._centres = np.vstack([self._means, *means]), np.vstack([self._centres, *centres])
         self._walls = np.concatenate([self._walls, [seen.is_wall for seen in observations.values()]])

@@ -187,11 +187,10 @@ class Grid:
 
     def obstacle_points(self, box: Box) -> Array:
         """(N, 2) where the obstacles in a box are, world frame, metres: the mean of each cell's returns."""
-        rows, cols = np.nonzero(self.part("obstacles", box))
-        down, across = (self.part(name, box)[rows, cols] / OFFSET for name in ("down", "across"))
-        points = np.stack([box.left + cols + 0.5 + across, box.top + rows + 0.5 + down], axis=1)
-        rows, cols = self._bodies.T
-        inside = (rows >= box.top) & (rows < box.bottom) & (cols >= box.left) & (cols < box.right)
+        cells, kept = np.argwhere(self.part("obstacles", box)) + box[:2], self._tiles.cells
+        slots = self._tiles.slots(cells)
+        points = cells[:, ::-1] + 0.5 + np.stack([kept.across[slots], kept.down[slots]], axis=1) / OFFSET
+        inside = ((self._bodies >= box[:2]) & (self._bodies < box[2:])).all(axis=1)
         points = np.concatenate([points, self._bodies[inside][:, ::-1] + 0.5])
         return np.asarray(points * self._config.cell_m)
 
