@@ -103,10 +103,11 @@ class Moving(NamedTuple):
 @numba.njit(cache=True, error_model="numpy")
 def _cast_sweep(poses: Array, beams: Beams, walls: Array, moving: Moving, max_range: float) -> Array:
     """As `_cast_rays`, with a pose (N, 3) for each beam, and legs where they are then."""
-    ranges = np.empty(len(poses))
+    ranges, legs = np.empty(len(poses)), moving.legs.copy()
     for i in range(len(ranges)):
-        legs = moving.legs.copy()
-        legs[:, :2] += moving.times_s[i] * legs[:, 3:]
+        for j in range(len(legs)):
+            legs[j, 0] = moving.legs[j, 0] + moving.times_s[i] * legs[j, 3]
+            legs[j, 1] = moving.legs[j, 1] + moving.times_s[i] * legs[j, 4]
         beam = Beams(beams.cos[i : i + 1], beams.sin[i : i + 1])
         ranges[i] = _cast_rays((poses[i, 0], poses[i, 1], poses[i, 2]), beam, walls, legs, max_range)[0]
     return ranges

@@ -91,8 +91,8 @@ class Clearance:
             return
         points = grid.obstacle_points(drawn.grown(reach))[:, ::-1] / self.cell_m - (drawn.top, drawn.left)
         limits = self.least_m / self.cell_m, self.most_m / self.cell_m
-        _draw(self.metres[part], self.offsets[part], points, limits)
-        self.metres[part] *= self.cell_m
+        cells, self.offsets[part] = _draw(drawn.bottom - drawn.top, drawn.right - drawn.left, points, limits)
+        self.metres[part] = cells * np.float32(self.cell_m)
         self.blocked[part] = self.metres[part] < self.least_m
         self.seen[part], self.obstacles[part] = grid.part("seen", drawn), grid.part("obstacles", drawn)
 
@@ -138,12 +138,11 @@ class Clearance:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _draw(distance: Floats, offsets: Floats, points: Array, limits: tuple[float, float]) -> None:
-    """Write the distances of cells (H, W) to points (N, 2), row and col from the corner, and where they are measured.
+def _draw(height: int, width: int, points: Array, limits: tuple[float, float]) -> tuple[Floats, Floats]:
+    """(H, W) distances of cells to points (N, 2), row and col from the corner, and (H, W, 2) where they are measured.
 
     All in cells. `limits` are the distance below which a cell is blocked, and the largest one.
     """
-    height, width = distance.shape
     least, most = limits
     wide = np.full((height + 2 * _SIDE, width + 2 * _SIDE), np.float32(most * most))  # with a rim
     across_sq = np.empty(2 * math.ceil(most) + 2, dtype=np.float32)
@@ -158,8 +157,8 @@ def _draw(distance: Floats, offsets: Floats, points: Array, limits: tuple[float,
             down_sq, line = np.float32((r - row) ** 2), wide[r, first:last]
             for c in range(len(line)):
                 line[c] = min(line[c], down_sq + across_sq[c])
-    wide[:] = np.sqrt(wide)
-    distance[:], offsets[:] = wide[_SIDE:-_SIDE, _SIDE:-_SIDE], 0.0
+    wide = np.sqrt(wide)
+    distance, offsets = wide[_SIDE:-_SIDE, _SIDE:-_SIDE].copy(), np.zeros((height, width, 2), np.float32)
     reach = math.ceil(least) + 2
     at = np.full((height + 2 * reach, width + 2 * reach), -1, dtype=np.int32)  # the point in each cell
     for k in range(len(points)):
@@ -180,6 +179,7 @@ def _draw(distance: Floats, offsets: Floats, points: Array, limits: tuple[float,
                 if away > distance[r, c]:
                     offsets[r, c, 0], offsets[r, c, 1] = np.float32(down), np.float32(across)
                     distance[r, c] = np.float32(away)
+    return distance, offsets
 
 
 @numba.njit(cache=True, error_model="numpy")

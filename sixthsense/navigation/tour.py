@@ -47,6 +47,7 @@ def _inserted(lengths: Array) -> Cells:
                 before, first, end, after = tour[i - 1], tour[i], tour[j], tour[j + 1]
                 kept = lengths[before, first] + lengths[end, after]
                 if lengths[before, end] + lengths[first, after] < kept - _LESS:
-                    tour[i : j + 1] = tour[i : j + 1][::-1].copy()
+                    for k in range((j + 1 - i) // 2):  # turned round
+                        tour[i + k], tour[j - k] = tour[j - k], tour[i + k]
                     better = True
     return tour

@@ -129,11 +129,14 @@ def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDA
     counter-clockwise around a solid, clockwise around a hole. Cells that touch diagonally are connected, so that no
     ray passes between them.
     """
-    found: tuple[NDArray[np.int64], NDArray[np.int64]] = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
-    return found
+    cells = np.pad(np.asarray(occupied, dtype=np.uint8), 1)
+    around = cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]
+    touching = (around == 2) & (cells[:-1, :-1] == cells[1:, 1:])
+    corners = np.empty((np.count_nonzero(around % 2) + 2 * np.count_nonzero(touching), 2), np.int64)
+    ends = np.empty(len(corners) // 4, np.int64)
+    return corners, ends[: _trace(cells, corners, ends)]
 
 
-@numba.njit(cache=True, error_model="numpy")
 def simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     """Closed outlines of cells with fewer corners: these in sequence, and the end index of each outline.
 
@@ -143,38 +146,35 @@ def simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[
     its steps. The shortest path over candidate points and the wedge test of a segment follow Imai and Iri, "Polygonal
     approximations of a curve" (1988).
     """
-    kept: list[float] = []
-    kept_ends, begin = np.empty_like(ends), 0
-    for k in range(len(ends)):
-        n = ends[k] - begin
-        points = np.empty((2 * n + 1, 2))
-        points[0::2][:n] = corners[begin : ends[k]]
-        points[2 * n] = points[0]
+    kept = []
+    for outline in np.split(corners, ends[:-1]):
+        points = np.empty((2 * len(outline) + 1, 2))
+        points[0:-1:2], points[-1] = outline, outline[0]
         points[1::2] = (points[0:-1:2] + points[2::2]) / 2
-        for i in _cheapest(points, _TOLERANCE_CELLS, _DEVIATION_COST):
-            kept.extend((points[i, 0], points[i, 1]))
-        begin, kept_ends[k] = ends[k], len(kept) // 2
-    return np.array(kept).reshape(-1, 2), kept_ends
+        kept.append(points[_cheapest(points, _TOLERANCE_CELLS, _DEVIATION_COST)])
+    return np.concatenate(kept), np.cumsum([len(outline) for outline in kept])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Corners (K, 2) of all outlines in sequence, and the end index of each; `cells` has a free border."""
+def _trace(cells: NDArray[np.uint8], corners: NDArray[np.int64], ends: NDArray[np.int64]) -> int:
+    """Write the corners (K, 2) of all outlines in sequence and the end index of each; returns how many outlines.
+
+    `cells` has a free border. No outline has less than four corners.
+    """
     rows, columns = cells.shape
-    corners: list[int] = []
-    ends: list[int] = []
-    seen = np.zeros(cells.shape, np.uint8)
+    count, outlines, seen = 0, 0, np.zeros((rows, columns), np.bool_)
     for y0 in range(1, rows - 1):
         for x0 in range(1, columns - 1):
             # Every outline has a side that runs right, below an occupied cell. Row by row, the first cell of an
             # outline is at the left end of such a side, which is a corner.
-            if cells[y0, x0] == 0 or cells[y0 - 1, x0] != 0 or seen[y0, x0] != 0:
+            if cells[y0, x0] == 0 or cells[y0 - 1, x0] != 0 or seen[y0, x0]:
                 continue
             y, x, dy, dx = y0, x0, 0, 1
-            corners.extend((x - 1, y - 1))
+            corners[count, 0], corners[count, 1] = x - 1, y - 1
+            count += 1
             while True:
                 if dx == 1:
-                    seen[y, x] = 1
+                    seen[y, x] = True
                 y, x = y + dy, x + dx
                 turn_y, turn_x = dy, dx
                 if cells[y + (dy - dx - 1) // 2, x + (dx + dy - 1) // 2] != 0:  # ahead on the right
@@ -186,14 +186,16 @@ def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int6
                 dy, dx = turn_y, turn_x
                 if y == y0 and x == x0 and dx == 1:
                     break
-                corners.extend((x - 1, y - 1))
-            ends.append(len(corners) // 2)
-    return np.array(corners).reshape(-1, 2), np.array(ends)
+                corners[count, 0], corners[count, 1] = x - 1, y - 1
+                count += 1
+            ends[outlines] = count
+            outlines += 1
+    return outlines
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray[np.int64]:
-    """Indices of the kept points of a closed outline (N + 1, 2): even ones are corners, the last point is the first."""
+def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray[np.bool_]:
+    """(N + 1,) kept points of a closed outline (N + 1, 2): even ones are corners, the last point is the first."""
     n = points.shape[0] - 1
     cost = np.full(n + 1, np.inf)
     cost[0] = 0.0
@@ -224,8 +226,9 @@ def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray
                 low, high = max(low, turn - half), min(high, turn + half)
                 if low > high + 1e-9:
                     break
-    kept, k = [int(previous[n])], previous[n]
+    kept, k = np.zeros(n + 1, np.bool_), previous[n]
+    kept[k] = True
     while k > 0:
         k = previous[k]
-        kept.append(k)
-    return np.array(kept[::-1])
+        kept[k] = True
+    return kept

@@ -66,15 +66,15 @@ def _shortest(free: Bools, start: tuple[int, int], goal: tuple[int, int]) -> Cel
             if through < cost[r, c]:
                 cost[r, c], step[r, c] = through, k
                 heapq.heappush(heap, (through, r, c))
-    if np.isinf(cost[start]):
-        return np.zeros((0, 2), np.int64)
-    row, col = start
-    way = [row, col]
-    while (row, col) != goal:
+    way, count, (row, col) = np.empty((free.size, 2), np.int64), 0, start
+    while cost[start] < np.inf:
+        way[count, 0], way[count, 1] = row, col
+        count += 1
+        if (row, col) == goal:
+            break
         k = step[row, col]
         row, col = row - _STEPS[k, 0], col - _STEPS[k, 1]
-        way.extend((row, col))
-    return np.array(way).reshape(-1, 2)
+    return way[:count].copy()
 
 
 class SceneGrid:

@@ -56,7 +56,7 @@ def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(here):
 
 def test_a_terminated_campaign_keeps_its_rows(here):
     pytest.importorskip("pandas")
-    words = ("campaign", "rectangle", "--seeds", "0:50", "--task", "tour", "--max-time", "20", "--workers", "1")
+    words = ("campaign", "rectangle", "--seeds", "0:50", "--task", "tour", "--max-time", "2", "--workers", "1")
     process = start(*words, "--out", "c")
     wait_until(lambda: len(list(here.glob("c/curves/run-*"))) > 1)
     process.send_signal(signal.SIGTERM)

@@ -27,7 +27,7 @@ from sixthsense.verdict.verdict import Cause
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
-TOUR = {"task": "tour", "max_time": 30.0, "progress": False}
+TOUR = {"task": "tour", "max_time": 16.0, "progress": False}
 OTHER = """\
 start = [-3.0, -3.0, 0.0]
 radius = 0.15

@@ -89,7 +89,7 @@ def compare(observed: Observed, squares_m2: Array, estimate: Estimate, near: Ind
     predicted, by_pose, by_landmark = predictions(estimate.pose.triple(), estimate.landmarks[near], walls)
     H = stacked(by_pose, by_landmark, 3)
     with_state = H @ joint
-    return _compared(observed, squares_m2, predicted, walls, with_state @ H.T, with_state[:, :3])
+    return _compared(observed, squares_m2, predicted, walls, with_state @ H.T, with_state[:, :3].copy())
 
 
 def compare_known(
@@ -189,7 +189,7 @@ def match(
     joint = np.ascontiguousarray(belief.joint_covariance(ids.tolist()))
     joint[:3, :3] += slip_cov
     innovations = compare(observed, squares_m2[near], estimate, near, joint)
-    gaps, plausible = distances.gap_m[:, near], plausible[:, near]
+    gaps, plausible = distances.gap_m[:, near], np.ascontiguousarray(plausible[:, near])
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
     if cfg.proposed_by == "estimate":

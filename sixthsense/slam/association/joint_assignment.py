@@ -57,18 +57,17 @@ def best_matches(pairs: Pairs, may_match: Mask, penalty: Array, walls: Mask, gat
     Observations with few options come first.
     """
     m, k = may_match.shape
-    options = np.array([float(may_match[i].sum()) for i in range(m)])
-    order = np.argsort(options, kind="mergesort")
-    order = order[options[order] > 0]
-    steps = len(order)
+    options = np.array([may_match[i].sum() for i in range(m)])
+    steps = int(np.count_nonzero(options))
     chains, lengths, worths = np.empty((BEAM, steps), np.int64), np.zeros(BEAM, np.int64), np.zeros(BEAM)
     matches = _empty(BEAM * steps, 2 * steps)
     observation = np.empty(BEAM * steps, np.int64)
     new_worths, changes = np.empty(BEAM * (1 + k)), np.empty((BEAM * (1 + k), 2), np.int64)
     row, own = np.empty((2, 2 * steps)), np.empty(2)
     sets, count = 1, 0
-    for i in order:
-        found = 0
+    for _ in range(steps):
+        i, found = int(np.argmin(np.where(options > 0, options, 1 + k))), 0
+        options[i] = 0  # it has had its turn
         for h in range(sets):
             chain = chains[h, : lengths[h]]
             new_worths[found], changes[found, 0], changes[found, 1] = worths[h], h, -1
@@ -79,20 +78,20 @@ def best_matches(pairs: Pairs, may_match: Mask, penalty: Array, walls: Mask, gat
                     if worth > 0.0:
                         new_worths[found], changes[found, 0], changes[found, 1] = worths[h] + worth, h, j
                         found += 1
-        best = np.argsort(-new_worths[:found], kind="mergesort")[:BEAM]
-        old_chains, old_lengths = chains.copy(), lengths.copy()
-        for place in range(len(best)):
-            h, j = changes[best[place]]
+        left, old_chains, old_lengths, sets = new_worths[:found], chains.copy(), lengths.copy(), min(found, BEAM)
+        for place in range(sets):
+            best = np.argmax(left)
+            worths[place], left[best] = left[best], -np.inf
+            h, j = changes[best]
             n = old_lengths[h]
             for q in range(n):
                 chains[place, q] = old_chains[h, q]
-            lengths[place], worths[place] = n, new_worths[best[place]]
+            lengths[place] = n
             if j >= 0:
                 _extend(pairs, i, j, matches, chains[place, :n], row, own)
                 _keep(matches, count, j, n, row, own)
                 observation[count], chains[place, n], lengths[place] = i, count, n + 1
                 count += 1
-        sets = len(best)
     out = np.full(m, -1)
     for match in chains[0, : lengths[0]]:
         out[observation[match]] = matches.landmark[match]

@@ -221,11 +221,10 @@ def add_all(views: Views, pose: Array, gate_m: float, both: bool, sums: Sums) ->
     sums.hessian[:], sums.feigned[:], sums.gradient[:], sums.totals[:] = 0.0, 0.0, 0.0, 0.0
     for r in range(len(views.targets)):
         seen, heading = between(triple(views.at[r]), triple(pose)), views.at[r, 2]
-        axes = Axes(seen[0], seen[1], heading, 1.0)
-        add(views.returns, views.targets[r], views.source, np.array(seen), axes, gate_m, sums)
-        if both:
-            back = np.array(inverse(seen))
-            add(views.returns, views.source, views.targets[r], back, Axes(0.0, 0.0, pose[2], -1.0), gate_m, sums)
+        lines, points, at, axes = views.targets[r], views.source, seen, Axes(seen[0], seen[1], heading, 1.0)
+        for _ in range(1 + both):
+            add(views.returns, lines, points, np.array(at), axes, gate_m, sums)
+            lines, points, at, axes = points, lines, inverse(seen), Axes(0.0, 0.0, pose[2], -1.0)
 
 
 @numba.njit(cache=True, error_model="numpy")
