@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from sixthsense.config.errors import InputError, PartError, nearest
-from sixthsense.config.version import __version__
 from sixthsense.loop.interrupt import command_signals
 
 if TYPE_CHECKING:
@@ -104,26 +102,21 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 
 def _run(args: list[str]) -> int:
-    """Run one command and report its errors in one line."""
+    """Run one command. The usage loads no other module."""
     try:
         if not args or args[0] in ("-h", "--help"):
             print(usage(), end="")
             return DONE if args else BAD_INPUT
         if args[0] == "--version":
+            from sixthsense.config.version import __version__
+
             print(f"sixthsense {__version__}")
             return DONE
-        if args[0] not in COMMANDS:
-            near = nearest(args[0], (*COMMANDS, "--help", "--version"))
-            raise InputError("command", f"found {args[0]!r}", ", ".join(COMMANDS), near)
         return _run_command(args[0], args[1:])
     except SystemExit:  # of the help
         return DONE
     except BrokenPipeError:
         return FAILED
-    except InputError as error:
-        return _report_error(str(error), BAD_INPUT)
-    except PartError as error:
-        return _report_error("; ".join([str(error), *getattr(error, "__notes__", ())]), FAILED)
     except MemoryError as error:
         return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]), OUT_OF_MEMORY)
     except OSError as error:
@@ -132,16 +125,24 @@ def _run(args: list[str]) -> int:
 
 
 def _run_command(name: str, words: list[str]) -> int:
-    """Parse a command's words and run it; an error that is told has the options' names."""
-    command, common = command_class(name), import_module("sixthsense.cli.common")
-    parser = import_module("sixthsense.cli.listing").parser_of(name, command)
+    """Parse a command's words and run it; an error is reported in one line, with the options' names."""
+    from sixthsense.config.errors import InputError, PartError, nearest
+
+    common, parser = import_module("sixthsense.cli.common"), None
     try:
+        if name not in COMMANDS:
+            near = nearest(name, (*COMMANDS, "--help", "--version"))
+            raise InputError("command", f"found {name!r}", ", ".join(COMMANDS), near)
+        command = command_class(name)
+        parser = import_module("sixthsense.cli.listing").parser_of(name, command)
         with common.announced():
             options, flags = common.read_command(command, parser, words)
             code: int = options.run(flags)
             return code
     except InputError as error:
-        raise InputError("", common.with_options(error, parser)) from error
+        return _report_error(common.with_options(error, parser) if parser else str(error), BAD_INPUT)
+    except PartError as error:
+        return _report_error("; ".join([str(error), *getattr(error, "__notes__", ())]), FAILED)
 
 
 def _report_error(message: str, code: int) -> int:

@@ -1,7 +1,5 @@
 """`sixthsense scenes` and `parts`; the parsers of all commands."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +10,6 @@ from sixthsense.cli.options import Arg, Options, Parser, Table, flag_name
 from sixthsense.config import PRESETS
 from sixthsense.config.parts import KINDS
 from sixthsense.config.section import choices_of
-from sixthsense.simulation.scene_files import shipped_scenes
 
 
 class Scenes(Options):
@@ -25,6 +22,7 @@ class Scenes(Options):
         """List the shipped scenes, or describe one."""
         from sixthsense.simulation.mission import unreachable
         from sixthsense.simulation.scene import load_scene
+        from sixthsense.simulation.scene_files import shipped_scenes
 
         for scene in map(load_scene, shipped_scenes() if self.scene is None else (self.scene,)):
             print(scene.summary(), *scene.notes, *filter(None, [unreachable(scene)]), sep="\n")
@@ -60,6 +58,8 @@ def parser_of(name: str, command: type[Options]) -> Parser:
 def whole_parser() -> Parser:
     """The parser of all commands, from which `shtab --shell SHELL sixthsense.cli.listing.whole_parser` completes."""
     import shtab
+
+    from sixthsense.simulation.scene_files import shipped_scenes
 
     root = Parser(prog="sixthsense")
     commands = root.add_subparsers()

@@ -1,7 +1,5 @@
 """`sixthsense live` and `simulate`, which join a ROS 2 network."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar

@@ -221,7 +221,7 @@ def flag_name(name: str) -> str:
 
 def as_options(text: str) -> str:
     """A line for the terminal: names of fields and arguments, which are in backquotes, as options."""
-    return re.sub(r"`([a-z_.]+)`", lambda found: f"--{flag_name(found[1])}", text)
+    return re.sub(r"`([a-z0-9_.]+)`", lambda found: f"--{flag_name(found[1])}", text)
 
 
 def with_options(error: InputError, parser: Parser) -> str:

@@ -1,7 +1,5 @@
 """Commands that read what runs have left: `sixthsense export`, `report` and `audit`."""
 
-from __future__ import annotations
-
 import inspect
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Commands that make runs: `sixthsense run`, `replay`, `merge`, `calibrate` and `campaign`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -16,7 +14,6 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.files import NOTES, read_table
 from sixthsense.config.parts import KINDS, OF_THE_ROBOT, import_named
 from sixthsense.config.tree import task_of
-from sixthsense.simulation.scene_files import scene_file
 
 
 class Run(WithPriorMap, OfScene):
@@ -127,6 +124,7 @@ class Calibrate(OfScene):
         from sixthsense.evaluation.calibrate import calibrate, check_output, summary
         from sixthsense.figures.calibration import write_calibration
         from sixthsense.running.warmup import prepare
+        from sixthsense.simulation.scene_files import scene_file
 
         config, scene = self.settings, scene_file(self.settings.scene)
         check_output(self.out, self.overwrite)

@@ -38,7 +38,7 @@ def preset(name: str = "default", **changes: Unpack[Fields]) -> Config:
     if name not in tuple(PRESETS):  # a file may hold a list there, which is not hashable
         raise InputError("preset", f"found {shown(name)}", ", ".join(PRESETS), nearest(name, PRESETS))
     import_named(changes)
-    return merge(merge(Config(preset=name), PRESETS[name]).as_implied(), changes)
+    return merge(merge(Config().model_copy(update={"preset": name}), PRESETS[name]).as_implied(), changes)
 
 
 def path_of(name: str, value: object) -> Path:

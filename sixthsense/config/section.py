@@ -67,7 +67,10 @@ class Section(BaseModel):
 
         def __init__(self, **values: Any) -> None:
             try:
-                super().__init__(**values)
+                if values or any(field.is_required() for field in type(self).model_fields.values()):
+                    super().__init__(**values)
+                else:  # defaults are allowed: no schema is built to check them
+                    self.__setstate__(self.model_construct().__getstate__())
             except ValidationError as error:
                 raise input_error(error, type(self).model_fields) from None
 
@@ -86,7 +89,7 @@ class Section(BaseModel):
 
     def replaced(self, **changes: Any) -> Self:
         """The same section with other values of some fields, which count as stated."""
-        made = type(self)(**{**dict(self), **changes})
+        made = type(self)(**{**dict(self), **changes}) if changes else self
         return self.model_copy(update={name: getattr(made, name) for name in changes})
 
     def with_implied(self, table: Mapping[str, Any]) -> Mapping[str, Any]:

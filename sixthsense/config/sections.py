@@ -1,7 +1,5 @@
 """The configuration tree, structured like the pipeline; the docstring of a field is its text in the help."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -47,6 +47,7 @@ BAD_LINES = [
     ("run --seed", "--seed: found too few values, allowed: one value"),
     ("run --goal 6.05 3", "goal: found (6.05, 3), 0.05 m from a wall, allowed: more than the robot's radius"),
     ("replay", "log: found None, allowed: a file or folder of a log"),
+    ("export nowhere", "export: found no format, allowed: --bag, --g2o, --gtsam, --tum or --csv"),
     ("replay x.log --relations missing", "x.log: no such file"),
     ("run --out /proc/nowhere/x", "--out: /proc/nowhere/x.partial cannot be written (No such file or directory)"),
 ]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from settings import changed, flat, nested
 
-from sixthsense.config import PRESETS, Config, load_config, merge, notes_of, preset, save_config
+from sixthsense.config import PRESETS, Config, Section, load_config, merge, notes_of, preset, save_config
 from sixthsense.config.errors import InputError
 from sixthsense.config.parts import ESTIMATORS
 from sixthsense.config.tree import task_of
@@ -47,6 +47,11 @@ def toml(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(toml, value))}]"
     return f"'{value}'" if isinstance(value, str) else str(value).lower()
+
+
+def test_defaults_that_are_not_checked_when_a_section_is_made_are_allowed() -> None:
+    for made in (Config(), *(value for _, value in Config() if isinstance(value, Section))):
+        assert type(made).model_validate(dict(made)) == made and not made.model_fields_set
 
 
 STATED = {
