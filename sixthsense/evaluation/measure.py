@@ -46,6 +46,9 @@ def _record(trace: Trace) -> dict[str, float | str]:
         out["landmarks"] = len(trace.records)
     if trace.loop_closures is not None:
         out["loop_closures_found"] = trace.loop_closures.found
+        passed = None if trace.verdict is None else trace.verdict.evidence.get("keyframes_passed_before")
+        if not trace.loop_closures.found and passed is not None:
+            out["keyframes_passed_before"] = round(passed)
     for name, parameters in (("wheel_", trace.wheels), ("sensor_", trace.sensor)):
         if parameters is not None:  # (2, n), values and sigmas
             out |= zip((key for key in QUANTITIES if key.startswith(name)), parameters[0].tolist(), strict=True)

@@ -74,6 +74,7 @@ _GROUPS = {
         ("area_seen_m2", "m²", "area of the cells that were seen"),
         ("landmarks", "1", "landmarks in the map at the end"),
         ("loop_closures_found", "1", "old places found again by the shape of the scans"),
+        ("keyframes_passed_before", "1", "keyframes near an earlier or later pass, of a run without loop closures"),
         ("path_length_m", "m", "length of the driven path"),
         ("plans", "1", "planned paths"),
         ("plans_below_margin", "1", "planned paths with less clearance than configured; usual in doors"),

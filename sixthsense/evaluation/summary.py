@@ -24,7 +24,7 @@ _LINES = {
     "scans": {"scans": "{:,} used", "keyframes": "{:,} of them as keyframes", "largest_gap_s": "largest gap {:.3g} s"},
     "driven": {
         "path_length_m": "{:,.1f} m", "sim_time_s": "{:,.0f} s", "area_seen_m2": "{:,.0f} m² seen",
-        "loop_closures_found": "{:,} loop closures",
+        "loop_closures_found": "{:,} loop closures", "keyframes_passed_before": "{:,} keyframes near another pass",
     },
     "accuracy": {
         "ate_rmse_m": "position error {length} RMS", "dead_reckoning_ate_rmse_m": "odometry alone {length}",

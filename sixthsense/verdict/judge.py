@@ -9,7 +9,7 @@ from sixthsense.verdict.causes import causes_of, remarks_of
 from sixthsense.verdict.evidence import Evidence, evidence_of, share
 from sixthsense.verdict.probability import FEATURES
 from sixthsense.verdict.verdict import Level, Verdict
-from sixthsense.verdict.views import FEWEST, SURFACE, THROUGH
+from sixthsense.verdict.views import ALL, FEWEST, SURFACE, THROUGH
 from sixthsense.verdict.witnesses import Witnesses
 
 DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
@@ -56,11 +56,9 @@ def _unjudged(evidence: Evidence, found: Witnesses) -> str:
 
 def _numbers(evidence: Evidence) -> dict[str, float]:
     """What is known of a run, by the keys of its metrics."""
-    numbers: dict[str, float] = {}
+    numbers = {"keyframes_passed_before": float(np.count_nonzero(evidence.old[:, ALL] > 0.0))}
     for name, found in (("recent", evidence.recent), ("old", evidence.old)):
         numbers[f"verdict_contradicted_{name}"] = share(np.nansum(found, axis=0)[None])[0]
     if evidence.mount is not None:
         numbers |= {f"verdict_mount_{axis}": evidence.mount.offset[k] for k, axis in enumerate(_MOUNT)}
-    if evidence.lag is not None:
-        numbers["verdict_lag_s"] = evidence.lag.seconds
     return {name: float(number) for name, number in numbers.items() if np.isfinite(number)}

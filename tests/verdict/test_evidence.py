@@ -86,6 +86,20 @@ def test_keyframes_are_compared_with_those_of_the_last_metres_and_of_other_passe
     assert {0, 5, 10} <= set(old[:, 0].tolist())
 
 
+def test_a_run_counts_its_keyframes_near_another_pass_by_which_a_missed_loop_closure_is_seen():
+    """A way of 15 m along a wall, once, and to and fro."""
+
+    def counted(x):
+        poses = np.stack([x, np.full_like(x, 0.7), np.full_like(x, 0.3)], axis=1)
+        seen = Witnesses(np.arange(len(x)), poses, None, np.arange(len(x)), poses, x > -1.0, [wall(3.1)] * len(x))
+        return judge(seen).evidence["keyframes_passed_before"], np.unique(old_pairs(poses, travelled(poses)))
+
+    once, again = np.arange(0.0, 15.0, 0.5), np.arange(14.9, 0.0, -0.5)
+    assert counted(once)[0] == 0.0
+    count, near = counted(np.concatenate([once, again]))
+    assert count == len(near) > 20
+
+
 def motions(count=60):
     """(count, 3) steps of a robot that drives and turns, and its trajectory."""
     steps = np.stack([RNG.uniform(0.1, 0.4, count), np.zeros(count), RNG.uniform(-0.5, 0.5, count)], axis=1)
