@@ -10,8 +10,8 @@ from scipy.special import gammaincinv
 from sixthsense.core.se2 import Array
 
 
-def chi_square_quantile(probability: float, dof: Any) -> Any:
-    """Quantile of the chi-square distribution with `dof` degrees of freedom, a number or an array.
+def chi_square_quantile(probability: Any, dof: Any) -> Any:
+    """Quantile of the chi-square distribution with `dof` degrees of freedom; both are numbers or arrays.
 
     The bits are those of `scipy.stats.chi2.ppf`, whose import takes most of a second.
     """

@@ -23,7 +23,7 @@ from sixthsense.slam.features import NO_FEATURES, Features
 
 if TYPE_CHECKING:
     from sixthsense.slam.association.associator import Associator
-    from sixthsense.slam.motion_source import Motion
+    from sixthsense.slam.estimators.motion_source import Motion
 
 Clock = Callable[[str], AbstractContextManager[object]]
 """Times a stage: `with clock("extract"):`"""
@@ -139,20 +139,16 @@ class FrontEnd(Protocol):
     @property
     def pose(self) -> Pose:
         """`T_world_robot` at the last tick."""
-        ...
 
     @property
     def since(self) -> Odometry:
         """Motion since the last keyframe, and (3, 3) of its error, axes of the keyframe."""
-        ...
 
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process what a tick has brought; its keyframe, if it is one."""
-        ...
 
     def finish(self) -> Finished:
         """Predict up to the last tick."""
-        ...
 
 
 def is_due(motion: Pose, odometry: Odometry, limits: KeyframeConfig) -> bool:

@@ -20,11 +20,11 @@ from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.estimators.base import Link
+from sixthsense.slam.estimators.motion_source import ByWheels, Motion
+from sixthsense.slam.estimators.thinning import Thinning
 from sixthsense.slam.features import NO_FEATURES, Extractor, Features
 from sixthsense.slam.features.extractor import check_features
 from sixthsense.slam.front_end import Evidence, Finished, FrontEndSetup, Keyframe, is_due
-from sixthsense.slam.motion_source import ByWheels, Motion
-from sixthsense.slam.thinning import Thinning
 
 if TYPE_CHECKING:
     from sixthsense.slam.scans.front_end import ScanFrontEnd
@@ -136,8 +136,7 @@ class LandmarkFrontEnd:
             links = [Link(each.before, len(self._showed_new), Odometry(each.motion, each.cov)) for each in closures]
             self._estimator.link(links)
         estimate = self._estimator.estimate()
-        gone = self._associator.forgotten(self._estimator, estimate)
-        if gone:
+        if gone := self._associator.forgotten(self._estimator, estimate):
             self._estimator.forget(gone)
             estimate = self._estimator.estimate()
         return estimate

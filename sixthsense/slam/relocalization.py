@@ -24,15 +24,14 @@ from sixthsense.slam.scans.agreement import agreement_of, contradicted
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import PlacedScans, overlapping
 from sixthsense.slam.scans.known_places import CARRIED_M, KnownPlaces
-from sixthsense.slam.scans.links import WIDE_GATE_M
+from sixthsense.slam.scans.links import SEEN_SHARE, WIDE_GATE_M
 from sixthsense.slam.scans.returns import ScanStore
-from sixthsense.slam.scans.tracking import LEAST_SCORE, aligned
+from sixthsense.slam.scans.tracking import TARGETS, aligned
 
 _SPACING_M, _M_PER_RAD = 0.4, 0.4  # between two scans that are kept, and a turn as a distance
 _KNOWN = np.array([0.03, 0.03, 0.02])  # sigmas, m and rad, below which linearization at the given pose is good
 _LEAST_SHARE = 0.5  # of the returns that the earlier scans can judge
 _MOST_SQUARE = 21.1  # of a first pose: 0.9999 of chi-square with 3 degrees of freedom
-_PARTNERS = 3  # earlier scans that the first scan is aligned with
 
 FOUND_SIGMA = (0.1, 0.1, 0.05)
 """of a start that was found, m and rad; the first scan makes it precise"""
@@ -70,7 +69,7 @@ class SoughtScans(PlacedScans):
 
     def views(self, key: int, at: Array) -> Views:
         """Scan `key` at a pose (3,) and the earlier scans whose views overlap it most."""
-        targets = overlapping(self, key, at, self.known)[:_PARTNERS]
+        targets = overlapping(self, key, at, self.known)[:TARGETS]
         return Views(self.store.returns, key, targets, self.poses[targets], 1.0)
 
 
@@ -151,7 +150,7 @@ def _candidates(scans: SoughtScans, key: int, given: Prior, cov: Array) -> list[
     sigmas = np.full(count, sigma_m), np.full(count, math.sqrt(cov[2, 2]))
     expected = search.ExpectedPoses(between(places.anchors, given.pose).reshape(-1, 3), *sigmas)
     found = []
-    query = search.PlaceQuery(scans, key, places, expected, LEAST_SCORE, 0)
+    query = search.PlaceQuery(scans, key, places, expected, SEEN_SHARE, 0)
     for each in search.BranchAndBound().propose(query, least_points=1):
         pose = aligned(scans.views(key, each.pose), given, each.pose, WIDE_GATE_M).pose
         off = np.array([*(pose[:2] - given.pose[:2]), between(given.pose, pose)[2]])

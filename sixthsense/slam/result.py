@@ -17,7 +17,7 @@ from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.moving import NOTHING_MOVES, Moving
+from sixthsense.slam.mapping.moving import NOTHING_MOVES, Moving
 
 
 @dataclass(frozen=True, slots=True)

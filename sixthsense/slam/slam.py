@@ -28,16 +28,17 @@ from sixthsense.core.source import Tick, seconds
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother
+from sixthsense.slam.estimators.base import check_estimate
+from sixthsense.slam.estimators.motion_source import make_motion
+from sixthsense.slam.estimators.sensor_calibration import SensorCalibration
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, FrontEndSetup, Keyframe, LoopClosureCounts, untimed
 from sixthsense.slam.mapping.grid import NO_WALLS, Grid, Walls
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.mapping.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
-from sixthsense.slam.motion_source import make_motion
-from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
-from sixthsense.slam.sensor_calibration import SensorCalibration
 
 
 class Slam:
@@ -79,9 +80,10 @@ class Slam:
         self._radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M if radius_m is None else radius_m
         self.estimator: Estimator = part_of(config, ESTIMATORS).make(self._start, cov)
         self._draws_map = draws_map
-        self._mapper = Mapper(config.grid, self._radius_m)
+        self.mapper = Mapper(config.grid, self._radius_m)
+        """the keyframes of the map"""
         records = None if prior_map is None else prior_map.fresh_records()
-        self.associator = Associator(config.association, records, self._mapper.are_free)
+        self.associator = Associator(config.association, records, self.mapper.are_free)
         self._motion = make_motion(config, self.estimator)
         self._deskew = Deskewer(config.features.deskew)
         self._moving = MovingReturns(config.grid.no_return_passes) if config.people else None
@@ -89,13 +91,14 @@ class Slam:
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
             begin_with(prior_map, config, self.estimator)
-            self._mapper.start_from(prior_map.evidence)
+            self.mapper.start_from(prior_map.evidence)
         setup = FrontEndSetup(config, self.estimator, self._start, self.associator, self._motion, clock)
         self._front_end: FrontEnd = part_of(config, FRONT_ENDS).make(setup)
         self._last: Tick | None = None
         self._T_world_odom = self._start
         self._estimate = self._sensor.reported(self.estimator.estimate())
-        self._loop_closures: LoopClosureCounts | None = None
+        self.loop_closures: LoopClosureCounts | None = None
+        """what the search for old places has come to so far; None for a front end that does not search"""
         self._result: SlamResult | None = None
         self._blas = threadpool_limits(limits=1, user_api="blas")
 
@@ -134,11 +137,11 @@ class Slam:
             if still is not None:
                 with self._clock("grid"):
                     self._add_to_map(still, keyframe, moving)
-        pose, since, grid = self._front_end.pose, self._front_end.since, self._mapper.grid
+        pose, since, grid = self._front_end.pose, self._front_end.since, self.mapper.grid
         if scan is not None and self._moving is not None:
             self._moving.keep(scan, guess, pose, tick.stamp_ns)
-        dead_reckoned = self._T_world_odom @ tick.odometry
-        return Step(tick.stamp_ns, pose, dead_reckoned, increment, since, scan, keyframe, grid, moving)
+        by_odometry = self._T_world_odom @ tick.odometry
+        return Step(tick.stamp_ns, pose, by_odometry, increment, since, scan, keyframe, grid, moving)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -162,24 +165,14 @@ class Slam:
         return self._front_end.pose
 
     @property
-    def loop_closures(self) -> LoopClosureCounts | None:
-        """What the search for old places has come to so far; None for a front end that does not search."""
-        return self._loop_closures
-
-    @property
-    def mapper(self) -> Mapper:
-        """The keyframes of the map."""
-        return self._mapper
-
-    @property
     def grid(self) -> Grid:
         """The map, as it was drawn last."""
-        return self._mapper.grid
+        return self.mapper.grid
 
     def draw_map(self) -> Grid:
         """Draw the keyframes that are not in the map yet, and return it."""
         with self._clock("grid"):
-            return self._mapper.draw()
+            return self.mapper.draw()
 
     def estimate(self) -> Estimate:
         """Pose at the last keyframe (after `finish` at the last tick), its covariance, and the landmarks."""
@@ -216,14 +209,14 @@ class Slam:
         if self._result is None:
             finished = self._front_end.finish()
             estimate = self._estimate = self._sensor.reported(finished.estimate)
-            self._loop_closures = finished.loop_closures or self._loop_closures
+            self.loop_closures = finished.loop_closures or self.loop_closures
             joint = self.estimator.joint_covariance(estimate.ids.tolist())
             # Links of scans have private errors, which the estimator does not know of.
             joint[:3, :3] = finished.estimate.pose_cov
             places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
             joint = self._sensor.reported_joint(places, joint)
             trajectory = self.trajectory()
-            self._mapper.complete(trajectory)
+            self.mapper.complete(trajectory)
             self._result = SlamResult(
                 estimate,
                 joint,
@@ -277,28 +270,23 @@ class Slam:
             check_returned(name, "since", self._front_end.since, Odometry, cov=(3, 3))
         self.check_estimate()
         keyframe = dataclasses.replace(keyframe, estimate=self._sensor.reported(keyframe.estimate))
-        self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures
+        self._estimate, self.loop_closures = keyframe.estimate, keyframe.loop_closures
         self._motion.at_keyframe(self.wheels() if self.config.calibrate_wheels else None)
         return keyframe
 
     def check_estimate(self) -> None:
         """Raise PartError where an estimator that is not shipped returns what has another shape, or is not finite."""
         if self.config.estimator not in ESTIMATORS.shipped:
-            name, found = f"estimator {self.config.estimator}", self.estimator.estimate()
-            n = len(getattr(found, "ids", ()))
-            check_returned(name, "estimate()", found, Estimate, pose_cov=(3, 3), landmarks=(n, 2))
-            check_returned(name, "trajectory()", np.asarray(self.estimator.trajectory()), np.ndarray, itself=(None, 3))
-            joint = np.asarray(self.estimator.joint_covariance(found.ids.tolist()))
-            check_returned(name, "joint_covariance", joint, np.ndarray, itself=(3 + 2 * n, 3 + 2 * n))
+            check_estimate(self.config.estimator, self.estimator)
 
     def _add_to_map(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
         walls = NO_WALLS
         if self.config.grid.walls:
             gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, self._radius_m)
             walls = Walls(keyframe.features.walls, gaps)
-        self._mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
+        self.mapper.add(keyframe.index, self.estimator.trajectory, scan, walls, moving.standing_robot)
         if self._draws_map:
-            self._mapper.draw()
+            self.mapper.draw()
 
 
 def _as_ranges(value: ArrayLike, laser: LaserConfig) -> Array:

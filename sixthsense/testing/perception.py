@@ -19,10 +19,10 @@ from sixthsense.core.source import Command
 from sixthsense.simulation.world import World
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, make_estimator
+from sixthsense.slam.estimators.motion_source import make_motion
 from sixthsense.slam.features import Extractor
 from sixthsense.slam.features.extractor import check_features
 from sixthsense.slam.front_end import Evidence, FrontEnd, FrontEndSetup
-from sixthsense.slam.motion_source import make_motion
 from sixthsense.slam.scans.graph import PlacedScans
 from sixthsense.slam.scans.known_places import KnownPlaces
 from sixthsense.slam.scans.place_search import Candidate, ExpectedPoses, PlaceQuery, is_same_place

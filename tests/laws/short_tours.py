@@ -34,7 +34,7 @@ from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 from sixthsense.simulation.scene import load_scene
-from sixthsense.slam import motion_source
+from sixthsense.slam.estimators import motion_source
 from sixthsense.slam.features import Features, extraction
 from sixthsense.slam.slam import Slam
 

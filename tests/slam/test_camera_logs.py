@@ -12,7 +12,7 @@ from sixthsense.core.landmarks import polar_observation
 from sixthsense.core.motion import Slip, rk4, slipped
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.source import Tick
-from sixthsense.slam import sensor_calibration
+from sixthsense.slam.estimators import sensor_calibration
 from sixthsense.slam.slam import Slam
 
 PERIOD_S, FRAME = 0.05, 5

@@ -8,7 +8,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import beams_of, cast_among
 from sixthsense.core.returns import bearings_of
 from sixthsense.core.source import Tick
-from sixthsense.slam.moving import MovingReturns, _count_seen_through
+from sixthsense.slam.mapping.moving import MovingReturns, _count_seen_through
 from sixthsense.slam.slam import Slam
 
 ROOM = np.array([[[-4, -3], [4, -3]], [[4, -3], [4, 3]], [[4, 3], [-4, 3]], [[-4, 3], [-4, -3]],

@@ -14,7 +14,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link
-from sixthsense.slam.thinning import OLD_AGE, PERIOD, Thinning, is_crowded
+from sixthsense.slam.estimators.thinning import OLD_AGE, PERIOD, Thinning, is_crowded
 
 CONFIG = ISAM2Config(undo_probability=1.0)
 WALLS = np.array([[0.0, -6.0], [math.pi / 2, -5.0], [math.pi, -6.0]])

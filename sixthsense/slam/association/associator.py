@@ -24,7 +24,7 @@ from sixthsense.slam.association.innovations import Innovations, Matches, compar
 from sixthsense.slam.association.joint_assignment import Indices
 from sixthsense.slam.association.observed import Distances, Mask, Observed, disagreement, ends, fused, joined
 from sixthsense.slam.association.proposed import ProposedLandmarks
-from sixthsense.slam.association.records import Association, Crookedness, Record, less_certain, on_lines
+from sixthsense.slam.association.records import Association, ByLandmark, Crookedness, Record, less_certain, on_lines
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 
 AreFree = Callable[[Array, float], Mask]
@@ -89,13 +89,17 @@ class Associator:
             slipped = match(*known, _SLIP_COV)
             if slipped.matched >= _LEAST and slipped.worth - _SLIP_PRICE > matches.worth:
                 matches, slip = slipped, Odometry(estimate.pose.inverse() @ slipped.pose, _SLIP_COV)
-        seen, pieces = self._seen_again(observations, matches)
+        seen = dict[LandmarkId, Observation]()
+        for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
+            if i >= 0:
+                seen[i] = fused(seen[i], observation) if i in seen else observation
         innovations, here, order = matches.innovations, matches.pose, matches.near.tolist()
         if proposed is not None:
             innovations, order = compare_known(seen, list(seen), estimate, estimator), list(seen)
             here = innovations.pose_given(estimate.pose, np.arange(len(order)))
         places = np.array([order.index(i) for i in seen], dtype=np.int64)
         self._look(seen, innovations, places, here, estimate)
+        pieces = matches.matched - len(seen)
         unmatched = [observations[k] for k in np.flatnonzero(matches.is_new).tolist()]
         new = self._started(unmatched, here)
         accepted = {i: less_certain(one, self.records[i]) for i, one in (seen | new).items()}
@@ -103,7 +107,7 @@ class Associator:
         nis = innovations.nis(list(seen.values()), places)
         return Association(accepted, discarded, nis, 2 * len(seen), pieces, slip)
 
-    def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
+    def match_named(self, observations: ByLandmark, estimator: Estimator) -> Association:
         """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
         self._scan += 1
         estimate = estimator.estimate()
@@ -130,9 +134,9 @@ class Associator:
         """
         self._move_extents(estimate)
         is_due, merged = self._scan % CULL_PERIOD == 0, list[LandmarkId]()
-        gone = [i for i, record in self.records.items() if record.misread > record.observations]
+        gone = {i for i, record in self.records.items() if record.misread > record.observations}
         if is_due:
-            gone = [*dict.fromkeys([*gone, *self._rare(), *self._vanished(estimate)])]
+            gone |= {*self._rare(), *self._vanished(estimate)}
         for i in gone:
             del self.records[i]
         self.culled += len(gone)
@@ -150,23 +154,8 @@ class Associator:
         for k in np.flatnonzero(np.abs(moved - extents).max(axis=(1, 2)) > _ROUNDING_M).tolist():
             records[k].extent = moved[k]
 
-    def _seen_again(
-        self, observations: Sequence[Observation], matches: Matches
-    ) -> tuple[dict[LandmarkId, Observation], int]:
-        """The observations of known landmarks, and how many further ones were fused with these."""
-        known: dict[LandmarkId, Observation] = {}
-        for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
-            if i >= 0:
-                known[i] = fused(known[i], observation) if i in known else observation
-        return known, matches.matched - len(known)
-
     def _look(
-        self,
-        seen: Mapping[LandmarkId, Observation],
-        innovations: Innovations,
-        places: Indices,
-        here: Pose,
-        estimate: Estimate,
+        self, seen: ByLandmark, innovations: Innovations, places: Indices, here: Pose, estimate: Estimate
     ) -> None:
         """Record what was seen of known landmarks from the pose `here`, and learn how crooked walls are seen anew.
 

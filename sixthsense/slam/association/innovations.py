@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from sixthsense.core.landmark_kernels import innovation, innovations_of, predict
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, squared_given
 from sixthsense.slam.association.observed import Distances, Mask, Observed, offset_variance
-from sixthsense.slam.association.records import unit_cov
+from sixthsense.slam.association.records import ByLandmark, unit_cov
 from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
@@ -92,13 +92,11 @@ def compare(observed: Observed, squares_m2: Array, estimate: Estimate, near: Ind
     return _compared(observed, squares_m2, predicted, walls, with_state @ H.T, with_state[:, :3].copy())
 
 
-def compare_known(
-    observations: Mapping[LandmarkId, Observation], known: list[LandmarkId], estimate: Estimate, estimator: Belief
-) -> Innovations:
-    """Innovations of the observations of landmarks that are known."""
+def compare_known(seen: ByLandmark, known: list[LandmarkId], estimate: Estimate, estimator: Belief) -> Innovations:
+    """Innovations of what was seen of landmarks that are known."""
     order = {i: k for k, i in enumerate(estimate.ids.tolist())}
-    near, seen = np.array([order[i] for i in known], dtype=np.int64), Observed.of([observations[i] for i in known])
-    return compare(seen, np.zeros(len(known)), estimate, near, estimator.joint_covariance(known))
+    near, observed = np.array([order[i] for i in known], dtype=np.int64), Observed.of([seen[i] for i in known])
+    return compare(observed, np.zeros(len(known)), estimate, near, estimator.joint_covariance(known))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -198,7 +196,8 @@ def match(
     nearest = squared_given(innovations.pairs, plausible, found).min(axis=1, initial=math.inf)
     is_far = ~is_matched & (nearest > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
-    is_new = _new_ones(observed, replace(estimate, pose=here), extents, is_matched, is_far, cfg)
+    is_apart = np.asarray(Distances.at(here, observed, estimate, extents).apart(cfg).all(axis=1))
+    is_new = _new_ones(observed.walls, is_matched, is_far, is_apart)
     worth = innovations.worth(found, cfg.match_gate)
     landmark = np.full(len(found), -1)
     landmark[is_matched] = ids[found[is_matched]]
@@ -210,30 +209,23 @@ def _without_lone_one(observed: Observed, innovations: Innovations, found: Indic
 
     A gate as wide as that holds other landmarks, too. One such match closes no loop; two that agree do.
     """
-    middles, own = observed.extents.mean(axis=1), innovations.own
-    wide = [
-        k
-        for k in np.flatnonzero((found >= 0) & observed.walls).tolist()
-        if cfg.match_gate * offset_variance(own[found[k]], middles[k]) > cfg.new_separation_m**2
-    ]
+    walls = np.flatnonzero((found >= 0) & observed.walls)
+    variances = offset_variance(innovations.own[found[walls]], observed.extents[walls].mean(axis=1))
+    wide = walls[cfg.match_gate * variances > cfg.new_separation_m**2]
     if len(set(found[wide].tolist())) == 1:
         found[wide] = -1
     return found
 
 
-def _new_ones(
-    observed: Observed, estimate: Estimate, extents: Array, is_matched: Mask, is_far: Mask, cfg: AssociationConfig
-) -> Mask:
+def _new_ones(walls: Mask, is_matched: Mask, is_far: Mask, is_apart: Mask) -> Mask:
     """(m,) which observations are of new landmarks.
 
-    The estimate has the pose that the matches imply. `is_matched` and `is_far` (m,) mark observations, the latter those
-    outside of the gate of all landmarks.
+    Arrays (m,) mark those of walls; those that are matched, outside of the gate of all landmarks, and apart from all of
+    them as seen from the pose that the matches imply.
     """
-    is_beside = ~Distances.at(estimate.pose, observed, estimate, extents).apart(cfg)
-    is_apart = ~is_beside.any(axis=1)
     contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
     # Where most of the scan matches, a wall may be beside a known one; else these show that the pose is wrong.
-    may_be_beside = observed.walls & (np.count_nonzero(is_matched) > contradicting)
+    may_be_beside = walls & (np.count_nonzero(is_matched) > contradicting)
     return is_far & (is_apart | may_be_beside)
 
 

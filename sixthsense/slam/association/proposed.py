@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import predictions
 from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark
-from sixthsense.slam.association.records import Record
+from sixthsense.slam.association.records import ByLandmark, Record
 from sixthsense.slam.estimators.base import Estimate
 
 _POSE_COV = np.diag([0.04, 0.04, 0.01]) ** 2  # of a proposed pose, beside what the graph of scans is uncertain of
@@ -61,16 +61,10 @@ class ProposedLandmarks:
         walls = np.array([self._last[i][1].is_wall for i in ids], dtype=np.bool_)
         self._here, self.extents = Estimate(Pose(), _POSE_COV, np.array(ids, dtype=np.int64), landmarks, walls), extents
 
-    def remember(
-        self,
-        key: int,
-        estimate: Estimate,
-        observations: Mapping[LandmarkId, Observation],
-        records: Mapping[LandmarkId, Record],
-    ) -> None:
-        """Fix the landmarks that keyframe `key` has observed to it, with the extents that `records` has of them."""
+    def remember(self, key: int, estimate: Estimate, seen: ByLandmark, records: Mapping[LandmarkId, Record]) -> None:
+        """Fix the landmarks that keyframe `key` has seen to it, with the extents that `records` has of them."""
         local, _, _ = predictions(estimate.pose.triple(), estimate.landmarks, estimate.walls)
         back, rows = estimate.pose.inverse(), {i: row for row, i in enumerate(estimate.ids.tolist())}
         self._last = {i: last for i, last in self._last.items() if i in rows}
-        for i in observations.keys() & rows.keys():
-            self._last[i] = key, replace(observations[i], z=local[rows[i]]), back @ records[i].extent
+        for i in seen.keys() & rows.keys():
+            self._last[i] = key, replace(seen[i], z=local[rows[i]]), back @ records[i].extent

@@ -16,6 +16,9 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 
+ByLandmark = Mapping[LandmarkId, Observation]
+"""observations, each of its landmark"""
+
 _TILT = 3.0
 """variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
 SQUARES_M2 = 1e-6 * np.array([0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])
@@ -34,7 +37,7 @@ _MOST_LOOKS = 16
 class Association:
     """The observations of one keyframe with the landmarks they are of."""
 
-    observations: Mapping[LandmarkId, Observation] = field(default_factory=dict)
+    observations: ByLandmark = field(default_factory=dict)
     """those to update with; an id that the estimator does not know is a new landmark"""
     discarded: int = 0
     """observations that are too far for a match and too near for a new landmark"""
@@ -131,15 +134,15 @@ class Crookedness:
 
     def add(self, record: Record, value: Array, cov: Array, unit: Array) -> None:
         """Record the innovation (2,) of a wall, its covariance (2, 2) were it straight, and what 1 m^2 adds to that."""
-        record.log_likelihoods += _log_densities(value, cov, unit)
+        S = cov + SQUARES_M2[:, None, None] * unit  # (8, 2, 2) of each of `SQUARES_M2`
+        record.log_likelihoods += -0.5 * (value @ np.linalg.inv(S) @ value + np.log(np.linalg.det(S)))
         record.square_m2 = self.square_m2(record)
 
     def update(self, records: Collection[Record]) -> None:
         """Compute the prior anew from all walls among the `records`, and their variances."""
         walls = [record for record in records if record.kind == Kind.WALL]
-        self._log_prior = self._mean_of(
-            np.array([self._posterior(record) for record in walls]).reshape(-1, len(SQUARES_M2))
-        )
+        posteriors = np.array([self._posterior(record) for record in walls])
+        self._log_prior = self._mean_of(posteriors.reshape(-1, len(SQUARES_M2)))
         for record in walls:
             record.square_m2 = self.square_m2(record)
 
@@ -158,12 +161,6 @@ class Crookedness:
         total = posteriors.sum(axis=0) + _ANY / len(SQUARES_M2)
         total[0] += _STRAIGHT
         return np.asarray(np.log(total / total.sum()))
-
-
-def _log_densities(value: Array, cov: Array, unit: Array) -> Array:
-    """(8,) log densities of an innovation (2,) for each of `SQUARES_M2`."""
-    S = cov + SQUARES_M2[:, None, None] * unit
-    return np.asarray(-0.5 * (value @ np.linalg.inv(S) @ value + np.log(np.linalg.det(S))))
 
 
 def less_certain(observation: Observation, record: Record) -> Observation:

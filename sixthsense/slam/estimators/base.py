@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.tree import check_returned
 from sixthsense.core.covariance import COVARIANCE_SLACK, check_covariance, covariance_fault
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
@@ -43,11 +44,9 @@ class Belief(Protocol):
 
     def estimate(self) -> Estimate:
         """The present pose with its covariance, and the landmarks' means."""
-        ...
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the k landmarks, world frame, in the order asked; KeyError if unknown."""
-        ...
 
 
 class Estimator(Belief, Protocol):
@@ -68,19 +67,15 @@ class Estimator(Belief, Protocol):
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment in the robot's frame."""
-        ...
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Update with the observations of one keyframe."""
-        ...
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks; KeyError for an unknown one."""
-        ...
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update so far, smoothed if the estimator smooths."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,18 +116,15 @@ class Filter(Estimator, Protocol):
         RuntimeError after the first motion or update. ValueError, with the state unchanged, for ids that repeat, means
         that are not finite and an invalid covariance, which may be singular.
         """
-        ...
 
     def calibrate(self, prior: ParameterEstimate[Any]) -> None:
         """Estimate the parameters of the wheels, or of the sensor of points, from now on.
 
         RuntimeError after the first motion or update. ValueError for an invalid covariance.
         """
-        ...
 
     def calibration(self, of: type[P]) -> ParameterEstimate[P] | None:
         """The present parameters, `Wheels` or `Sensor`, with their covariance; None if they are not estimated."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,22 +158,18 @@ class Smoother(Estimator, Protocol):
         Raises ValueError, naming the link, for an invalid covariance, and KeyError for an unknown pose; the state is
         unchanged then.
         """
-        ...
 
     def unlink(self, ids: Collection[int]) -> None:
         """Remove links; KeyError, with the state unchanged, for an unknown id."""
-        ...
 
     def poses_at(self, updates: Sequence[int]) -> Array:
         """(m, 3) the poses at some updates, by index; KeyError for an unknown one. A few cost less than all."""
-        ...
 
     def relative_covariances(self, pairs: NDArray[np.int64]) -> Array:
         """(m, 3, 3) covariance of the pose at the second of two updates in the frame of that at the first, its axes.
 
         `pairs` (m, 2); KeyError for an unknown update.
         """
-        ...
 
     def take_out(self, updates: Sequence[int]) -> list[int]:
         """Take out the poses of some updates, ascending and after those of earlier calls, and solve.
@@ -189,7 +177,6 @@ class Smoother(Estimator, Protocol):
         Returns the ids of the links that are lost, which are unknown from then on. Raises KeyError, with the state
         unchanged, for another order, for the first pose and for the last one.
         """
-        ...
 
 
 def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
@@ -205,6 +192,16 @@ def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
             fault = covariance_fault(seen.cov, lowest=0.0) or "a singular covariance"
             allowed = "a covariance, symmetric, with positive eigenvalues"
             raise ValueError(f"observation of landmark {i}: found {fault}, allowed: {allowed}")
+
+
+def check_estimate(name: str, estimator: Estimator) -> None:
+    """Raise PartError where what an estimator of this name returns has another shape, or is not finite."""
+    part, found = f"estimator {name}", estimator.estimate()
+    n = len(getattr(found, "ids", ()))
+    check_returned(part, "estimate()", found, Estimate, pose_cov=(3, 3), landmarks=(n, 2))
+    check_returned(part, "trajectory()", np.asarray(estimator.trajectory()), np.ndarray, itself=(None, 3))
+    joint = np.asarray(estimator.joint_covariance(found.ids.tolist()))
+    check_returned(part, "joint_covariance", joint, np.ndarray, itself=(3 + 2 * n, 3 + 2 * n))
 
 
 def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:

@@ -13,13 +13,7 @@ from scipy.linalg import block_diag, solve_triangular
 from sixthsense.core.covariance import check_covariance, plus_blocks
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmark_kernels import innovations_of, predictions, stacked, translations
-from sixthsense.core.landmarks import (
-    LandmarkId,
-    Observation,
-    initialize_landmark,
-    observed_centre,
-    rotation_generator,
-)
+from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre, rotation_generator
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.parameters import P, ParameterEstimate
 from sixthsense.core.se2 import move_covariance

@@ -28,11 +28,12 @@ SIGMA_M = 0.03
 """sigma of a return's distance from a line: noise, roughness and curvature of real walls"""
 SCALE_M = 0.05
 """scale of the Cauchy loss on that distance"""
-SURFACE_M = 0.12
+SURFACE_M = 4.0 * SIGMA_M
 """nearer returns are of one surface; the last gate of partners"""
 _NARROWER = 0.8  # ratio of one gate to the gate before
 _MOST_STEPS = 14
-_NEAR_M, _STEP_M = 0.02, 3e-4  # smaller steps end the wide gates, and the iteration
+_NEAR_M = 0.02  # smaller steps end the wide gates
+_STEP_M = 0.01 * SIGMA_M  # smaller steps end the iteration
 _M_PER_RAD = 3.0  # a turn as a step
 
 

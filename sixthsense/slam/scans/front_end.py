@@ -24,8 +24,8 @@ from sixthsense.core.se2 import (
     triple,
 )
 from sixthsense.slam.estimators import Estimate, Smoother
+from sixthsense.slam.estimators.motion_source import LastVelocity, with_wheel_errors
 from sixthsense.slam.front_end import Evidence, Finished, FrontEndSetup, Keyframe, LoopClosureCounts, is_due
-from sixthsense.slam.motion_source import LastVelocity, with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import LINKS, REACH_M, ScanGraph
 from sixthsense.slam.scans.known_places import of_last_metres
@@ -36,6 +36,7 @@ from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.tracking import (
     SLIP,
     SLIP_SIGMAS,
+    TARGETS,
     Expected,
     LastScan,
     Tracked,
@@ -45,8 +46,6 @@ from sixthsense.slam.scans.tracking import (
     search,
     track,
 )
-
-_RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
 
 
 class ScanFrontEnd:
@@ -177,8 +176,8 @@ class ScanFrontEnd:
             return known, None
         latest = range(max(graph.first, row - LINKS), row)
         # One that fitted nothing may have been seen from elsewhere than the wheels say: the next ones look past it.
-        recent = ([key for key in latest if key not in self._lost] or list(latest))[-_RECENT:]
-        targets = np.array([*recent, *graph.linked_old(recent[-1], recent[-1])[:_OLD]])
+        recent = ([key for key in latest if key not in self._lost] or list(latest))[1 - TARGETS :]
+        targets = np.array([*recent, *graph.linked_old(recent[-1], recent[-1])[:1]])
         views = Views(self._store.returns, row, targets, graph.poses[targets], graph.factor())
         tracked = track(views, known.prior, known.starts, graph.usual, source.is_guess)
         if tracked.is_lost:

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from sixthsense.core.covariance import root_information
+from sixthsense.core.covariance import chi_square_quantile, root_information
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.core.se2 import between, compose, conjugate, move_covariance, triple
 from sixthsense.slam.estimators import Link, Smoother
+from sixthsense.slam.estimators.thinning import OLD_AGE, PERIOD
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.links import NEAR_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.returns import ScanStore
-from sixthsense.slam.scans.tracking import Usual
-from sixthsense.slam.thinning import OLD_AGE, PERIOD
+from sixthsense.slam.scans.tracking import PRIOR_COUNT, Usual
 
 Keys = NDArray[np.int64]
 Rows = NDArray[Any]
@@ -33,9 +33,9 @@ M_PER_RAD = 0.5
 LOSS = 4.0
 """scale of the Cauchy loss, in whitened error of three coordinates: 2.4 is usual for one (95 % efficiency)"""
 _CORRELATION = 0.0625  # of two links of one scan, by the NEES of drives in rooms
-_WEIGHTED = 0.777  # mean of a chi-square of 3 degrees of freedom by the weights of the loss, over that without
+_SQUARES = chi_square_quantile(np.arange(0.0005, 1.0, 0.001), 3)  # of right links, equally likely ones
+_WEIGHTED = float(np.mean(_SQUARES / (1.0 + _SQUARES / LOSS**2)) / np.mean(_SQUARES))  # left of them by the loss
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
-_FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
 
 # `pose` is T_world_laser, `step` the variances of position and heading of the motion from the keyframe before, m^2 and
 # rad^2, and `is_out` whether it has left the estimator's graph.
@@ -154,15 +154,10 @@ class ScanGraph(PlacedScans):
         rows["weight"] = (_independent(after) - _independent(before)) / ((after - before) * self.factor())
         rows["cov"] = covariances(found.hessians, self._sigma_m) / rows["weight"][:, None, None]
         rows["is_old"], rows["closure"], rows["closes"] = is_old, np.where(is_old, closure, -1), closes
-        given = self.robot_links(rows)
-        rows["id"] = self.estimator.link(
-            [
-                Link(target, source, Odometry(Pose(*motion), cov), np.inf if closes else LOSS)
-                for (target, source), motion, cov in zip(
-                    given.ends.tolist(), given.motions.tolist(), given.covs, strict=True
-                )
-            ]
-        )
+        loss, given = np.inf if closes else LOSS, self.robot_links(rows)
+        measured = zip(given.ends.tolist(), given.motions.tolist(), given.covs, strict=True)
+        links = [Link(a, b, Odometry(Pose(*motion), cov), loss) for (a, b), motion, cov in measured]
+        rows["id"] = self.estimator.link(links)
         self._set(np.concatenate([self.links, rows]))
         if closes or self.count - self._refreshed >= PERIOD:
             self.refresh()
@@ -221,7 +216,7 @@ class ScanGraph(PlacedScans):
         redundancy = 3 * (len(links) - len(np.unique(links["ends"][:, 1])))
         # Weighted as in the graph: a few wrong links are no evidence of the others. Of right ones so much is left.
         squares /= _WEIGHTED * (1.0 + squares / (LOSS**2 * self._factor))
-        return float((squares.sum() + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR))
+        return float((squares.sum() + PRIOR_COUNT) / (redundancy + PRIOR_COUNT))
 
     def squares(self, links: Rows) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""

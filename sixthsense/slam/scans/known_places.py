@@ -22,11 +22,11 @@ LEAST_POINTS = 60
 """with fewer points of the last metres what is far away counts, too; with fewer even so there is no search"""
 HALF_M = 5.0
 """of a place to either side of its anchor"""
-BACK_M = 12.0
+BACK_M = 2.0 * RECENT_M
 """travel over which scans are followed back and votes count"""
 _MOST_SUBMAPS = 32  # that are kept
-CARRIED_M = 100.0
-"""of travel where the robot was carried, and from one run to another: neither submap nor vote spans that"""
+CARRIED_M = 2.0 * (HALF_M + BACK_M + REACH_M)
+"""of travel where the robot was carried, and from one run to another: no place has surroundings on both sides"""
 
 
 class KnownPlaces:

@@ -23,8 +23,10 @@ from sixthsense.slam.scans.agreement import LEAST_RETURNS, agreement
 from sixthsense.slam.scans.alignment import SIGMA_M, Prior, Sums, Views, align, no_sums
 from sixthsense.slam.scans.returns import Returns
 
-NEAR_GATE_M, WIDE_GATE_M = 0.25, 0.5
-"""first gates of pairs whose relative pose is known to two decimetres, and to half a metre"""
+WIDE_GATE_M = 0.5
+"""first gate of pairs whose relative pose is known to half a metre"""
+NEAR_GATE_M = 0.5 * WIDE_GATE_M
+"""the same of those that are known twice as well"""
 AGREEMENT, SEEN_SHARE = 0.75, 0.3
 """least shares of hits, among hits and returns that are seen through, and among all, of the usual one"""
 FEW_RETURNS = 3.0

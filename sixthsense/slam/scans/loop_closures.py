@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
+from sixthsense.slam.estimators.thinning import OLD_AGE, Thinning
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, ScanGraph, overlapping
 from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import (
+    LEAST_SCANS,
     NEW_M,
     SIGMAS,
     ExpectedPoses,
@@ -31,12 +33,10 @@ from sixthsense.slam.scans.place_search import (
     Votes,
     best_place,
 )
-from sixthsense.slam.thinning import OLD_AGE, Thinning
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
-_LAST = 3  # scans that are searched for at the end
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 
 
@@ -101,10 +101,10 @@ class LoopClosures:
         """Look for a loop closure with the last scans alone, which are all that the place where a log ends has."""
         key = self._graph.count - 1
         _, uncertain, sigmas = self._old(key)
-        found = self._best_place(key, uncertain, sigmas, _LAST)
+        found = self._best_place(key, uncertain, sigmas, LEAST_SCANS)
         if found is not None and not found.is_ambiguous:
             links = [each for each in found.evidence.links if len(each.targets)]
-            if len(links) == _LAST:
+            if len(links) == LEAST_SCANS:
                 self.close(Alignments.joined(links))
 
     def _look_around(self, key: int) -> None:

@@ -36,10 +36,9 @@ from sixthsense.slam.scans.known_places import (
     surfaces_around,
 )
 from sixthsense.slam.scans.links import SEEN_SHARE, WIDE_GATE_M, Alignments, align_pairs
-from sixthsense.slam.scans.places import MOST_POINTS, PLACE, Apart, Pyramid, Window, appearance, peaks
+from sixthsense.slam.scans.places import MOST_POINTS, MOST_TRIED, PLACE, Apart, Pyramid, Window, appearance, peaks
 from sixthsense.slam.scans.tracking import FREEDOM
 
-_CANDIDATES = 8  # submaps that are searched
 SIGMAS = 2.0
 """of a pose, within which a place is expected"""
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these it is searched for, too
@@ -48,7 +47,8 @@ _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
 _PARTNERS = 2  # known scans that each is compared with
 _EVERY_M = 1.0  # travel between two scans that are followed back
-_LEAST_SCANS = 3  # that are evidence about two places which are compared, and links of a vote, where there are as many
+LEAST_SCANS = 3
+"""that are evidence about two places which are compared, and links of a vote, where there are as many"""
 _CLEARLY = 0.32  # scans' worth of points that a place must explain beyond another one
 
 NEW_M = 1.5
@@ -158,7 +158,8 @@ class BranchAndBound:
             return []
         found: list[Candidate] = []
         for place, submap, window in looks:
-            best, known = peaks(submap, points, window, _AS_GOOD * top, PLACE), places.surroundings(place)
+            best = peaks(submap, points, window, _AS_GOOD * top, PLACE, _MOST_COMPARED + 1)
+            known = places.surroundings(place)
             placed = compose(places.anchors[place], best[:, 1:]).reshape(-1, 3)
             found += [Candidate(pose, score, known) for pose, score in zip(placed, best[:, 0].tolist(), strict=True)]
         return distinct(found)
@@ -184,7 +185,7 @@ def likeliest(places: KnownPlaces, expected: ExpectedPoses, look: Array) -> list
         gap = anchors[chosen, :2] - anchors[place, :2]
         if (np.hypot(gap[:, 0], gap[:, 1]) > REACH_M).all():
             chosen.append(place)
-            if len(chosen) == _CANDIDATES:
+            if len(chosen) == MOST_TRIED:
                 break
     return chosen
 
@@ -223,8 +224,8 @@ class Evidence(NamedTuple):
     def is_clearly_better(self, other: Evidence) -> bool:
         """Whether this place explains clearly more than another one, on the same scans."""
         off = self.shares - other.shares
-        both, least = np.isfinite(off), min(_LEAST_SCANS, len(off))
-        return bool(both.sum() >= least and off[both].sum() >= _CLEARLY * least / _LEAST_SCANS)
+        both, least = np.isfinite(off), min(LEAST_SCANS, len(off))
+        return bool(both.sum() >= least and off[both].sum() >= _CLEARLY * least / LEAST_SCANS)
 
 
 class Hypothesis(NamedTuple):
@@ -286,7 +287,7 @@ def evidence_of(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequenc
             newest = at.copy()
         best = shares[open_places[np.argmax(np.nansum(shares[open_places] - 0.5, axis=1))]]
         off = best - shares[open_places]
-        is_told = np.isfinite(off).sum(axis=1) >= _LEAST_SCANS
+        is_told = np.isfinite(off).sum(axis=1) >= LEAST_SCANS
         open_places = open_places[~(is_told & (np.nansum(off, axis=1) >= _CLEARLY))]
         before = key
     return [Evidence(*each) for each in zip(newest, shares, map(tuple, links), strict=True)]
@@ -340,7 +341,7 @@ class Votes:
         """
         links = Alignments.joined(found.links)
         compared = len(found.shares)  # after the start there are few scans to follow back
-        if len(links.targets) < min(_LEAST_SCANS, compared) or len(np.unique(links.sources)) < min(2, compared):
+        if len(links.targets) < min(LEAST_SCANS, compared) or len(np.unique(links.sources)) < min(2, compared):
             return []
         vote = Vote(key, found.pose, float(self._scans.travelled_m[key]), links)
         self._votes = [*(each for each in self._votes if vote.travelled_m - each.travelled_m < BACK_M), vote]

@@ -81,8 +81,8 @@ STEP_RAD = 0.012
 """between two headings that are tried"""
 _MOST_SUMMED = np.iinfo(np.uint16).max // PEAK
 """points whose values can be summed in two bytes"""
-MOST_PEAKS = 64
-"""places that are returned at most"""
+MOST_TRIED = 8
+"""candidates that are looked into closely"""
 
 
 class Window(NamedTuple):
@@ -112,7 +112,7 @@ PLACE = Apart(0.7, 0.2)
 """of two places: alignment leads to one pose from nearer ones"""
 
 
-def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart, most: int = MOST_PEAKS) -> Array:
+def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart, most: int) -> Array:
     """(m, 4) score and pose in the submap's frame of the `most` best places of points (N, 2) in the window, best first.
 
     A score is the mean value of the points' cells, 0 to 1, and above `least`. A place is the best cell of a block. Of

@@ -38,16 +38,15 @@ from sixthsense.core.se2 import (
 )
 from sixthsense.slam.scans.agreement import agreement_of, contradicted
 from sixthsense.slam.scans.alignment import SIGMA_M, Prior, Sums, Views, align
-from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
-from sixthsense.slam.scans.places import PLACE, Window, peaks, pyramid, surfaces
+from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, SEEN_SHARE, WIDE_GATE_M
+from sixthsense.slam.scans.places import MOST_TRIED, PLACE, Window, peaks, pyramid, surfaces
 
 SLIP_SIGMAS = 6.0
 """scale of the loss on the distance of a motion from that of the wheels; beyond it other starts are tried"""
-SLIP = 0.5
-"""sigma of a motion that the wheels have missed, m and rad"""
-LEAST_SCORE = 0.3
-"""share of the returns that a submap must explain where a scan is searched"""
-_MOST_PLACES, _NEAREST = 8, 3  # places in it that are tried, and keyframes that a scan is aligned with there
+SLIP = WIDE_GATE_M
+"""sigma of a motion that the wheels have missed, m and rad: the scans are aligned from as far"""
+TARGETS = 3
+"""keyframes that a scan is tracked against"""
 _RARE = 0.02  # probability that wheels slip, that a scan is no evidence, and of a return that is seen through, at least
 _CHANCE, _THROUGH = 0.15, 0.4  # share of judged returns that lie on lines, and that are seen through, at a wrong pose
 _DOUBTED = 0.1  # share of returns that are seen through, beyond the usual one, at which other starts are tried
@@ -56,7 +55,9 @@ _SURFACE = 5.0  # neighbouring returns of one surface, which are one piece of ev
 _VARIES = 4.0  # pieces of evidence that what is usual of lines counts as
 FREEDOM = 4.0
 """degrees of freedom of Student's distribution of a motion: floors and loads change, wheels slip now and then"""
-_PRIOR, _MEMORY = 10.0, 200.0  # motions that the model of any wheels counts as, and that are remembered
+PRIOR_COUNT = 10.0
+"""observations that what is known of a variance beforehand counts as"""
+_MEMORY = 200.0  # motions that are remembered
 
 
 class WheelNoise:
@@ -67,7 +68,7 @@ class WheelNoise:
         """(3,) on the sigmas of (x, y, theta)"""
         self._variances = np.ones(2)
         """of position and heading, over those of the model"""
-        self._count = _PRIOR
+        self._count = PRIOR_COUNT
 
     def update(self, stated: Array, off: Array, left: Array, heading: float) -> None:
         """Update with a motion of error `off` (3,), which is known up to the covariance `left` (3, 3).
@@ -208,11 +209,11 @@ def search(views: Views, prior: Prior, usual: Usual, is_guess: bool) -> Tracked:
     points, own = returns.points[views.source], surfaces(returns, views.targets, between(prior.pose, views.at))
     window = Window(np.zeros(3), SIGNIFICANT * SLIP, SIGNIFICANT * SLIP)
     submap, seen = pyramid(np.ascontiguousarray(own[:, :2])), points[points[:, 2] > 0.0, :2].astype(np.float64)
-    rows = peaks(submap, seen, window, LEAST_SCORE, PLACE, _MOST_PLACES) if len(seen) else np.zeros((0, 4))
+    rows = peaks(submap, seen, window, SEEN_SHARE, PLACE, MOST_TRIED) if len(seen) else np.zeros((0, 4))
     places, found = [prior.pose, *compose(prior.pose, rows[:, 1:]).reshape(-1, 3)], list[Tracked]()
     for place in places:
         off = views.at - place
-        near = np.argsort(np.hypot(off[:, 0], off[:, 1]) + np.abs(wrap_angle(off[:, 2])), kind="stable")[:_NEAREST]
+        near = np.argsort(np.hypot(off[:, 0], off[:, 1]) + np.abs(wrap_angle(off[:, 2])), kind="stable")[:TARGETS]
         around = views._replace(targets=views.targets[near], at=views.at[near])
         found.append(tracked_at(around, prior, loose, place, WIDE_GATE_M, usual, is_guess))
     return max(found, key=lambda each: each.log_odds)

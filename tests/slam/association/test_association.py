@@ -12,6 +12,7 @@ from sixthsense.slam.association import associator as associator_module
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
 
+BY_GATE = AssociationConfig(new_separation_m=0.0)
 REPORT = AssociationConfig(match_gate=20.0, new_gate=200.0, new_separation_m=0.0)
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
 
@@ -41,10 +42,7 @@ def known(config=None, sigma=0.02):
 @pytest.mark.parametrize(
     ("config", "squared", "expected"),
     [
-        *(
-            (AssociationConfig(new_separation_m=0.0), k**2, n)
-            for k, n in ((1.0, (1, 0)), (4.5, (0, 0)), (12.0, (0, 1)))
-        ),
+        *((BY_GATE, k**2, n) for k, n in ((1.0, (1, 0)), (4.5, (0, 0)), (12.0, (0, 1)))),
         *((REPORT, k, n) for k, n in ((19.0, (1, 0)), (21.0, (0, 0)), (199.0, (0, 0)), (201.0, (0, 1)))),
     ],
 )
@@ -55,13 +53,6 @@ def test_a_near_observation_is_matched_a_far_one_is_new_and_an_ambiguous_one_is_
     found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
     assert (found.dof // 2, len(found.observations) - found.dof // 2) == expected
     assert found.discarded == 1 - sum(expected)
-
-
-def test_an_empty_scan_and_an_empty_map_cause_no_error():
-    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    empty = associator.associate([], estimator)
-    assert empty.observations == {} and empty.nis == 0.0 and empty.dof == 0
-    assert len(associator.associate(sight(Pose(), range(5)), estimator).observations) == 5
 
 
 def test_one_scan_that_shows_an_end_twice_makes_one_landmark():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import Pose, rotation, wrap_angle
 from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
@@ -82,10 +82,7 @@ def test_an_extent_keeps_its_length_its_middle_along_the_line_and_the_order_of_i
     wall, other = np.array([0.7, 2.0]), np.array([0.7 + turn, 2.3])
     extent = line_ends(wall, -1.0, 2.5)
     moved = on_lines(other[None], extent[None])[0]
-    normal, along = (
-        np.array([math.cos(other[0]), math.sin(other[0])]),
-        np.array([-math.sin(other[0]), math.cos(other[0])]),
-    )
+    normal, along = rotation(float(other[0])).T
     assert moved @ normal == pytest.approx([2.3, 2.3])
     assert moved.mean(axis=0) @ along == pytest.approx(extent.mean(axis=0) @ along)
     assert np.sign((moved[1] - moved[0]) @ (extent[1] - extent[0])) > 0.0

@@ -20,9 +20,8 @@ COV = np.array([[4e-5, 1e-5], [1e-5, 1e-4]])
 
 def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
     pose, frame = Pose(0.3, -0.2, 0.4), Pose(2.0, 3.0, -0.3)
-    observation = Observation(
-        Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV
-    )
+    z = lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1])
+    observation = Observation(Kind.WALL, z, COV)
     place, root = measurement(pose, frame, observation, is_first=False)
     assert lines(place.inverse().array()[None])[0][0] == pytest.approx(observation.z, abs=1e-12)
     # The residual ignores the place along the wall; offset and heading are weighted by the observation's covariance.

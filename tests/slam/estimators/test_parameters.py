@@ -11,7 +11,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.parts import FILTERS
 from sixthsense.core.geometry import Pose
 from sixthsense.slam.estimators.ekf import EKF
-from sixthsense.slam.sensor_calibration import SCALE_SIGMA, SensorCalibration
+from sixthsense.slam.estimators.sensor_calibration import SCALE_SIGMA, SensorCalibration
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.label)

@@ -10,7 +10,7 @@ from rooms import CORNERS, RING, ROOM, drive, ticks
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.slam.motion_source import LastVelocity, scan_clock
+from sixthsense.slam.estimators.motion_source import LastVelocity, scan_clock
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(no_odometry=True)

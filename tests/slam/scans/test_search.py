@@ -71,7 +71,7 @@ def test_a_scan_of_many_thousand_returns_fits_where_it_was_taken(room):
     pose = Pose(0.31, -0.22, 0.17)
     own = pose.inverse() @ room
     window, cells = Window(pose.array() + np.array([0.2, -0.1, 0.03]), 0.8, 0.1), pyramid(room)
-    many = peaks(cells, np.repeat(own, 1 + 40000 // len(own), axis=0), window, 0.2, PLACE)
-    few = peaks(cells, own, window, 0.2, PLACE)
+    many = peaks(cells, np.repeat(own, 1 + 40000 // len(own), axis=0), window, 0.2, PLACE, 16)
+    few = peaks(cells, own, window, 0.2, PLACE, 16)
     assert many[0] == pytest.approx(few[0], abs=0.01)
     assert many[0, 1:3] == pytest.approx(pose.position, abs=2 * CELL_M)

@@ -9,7 +9,7 @@ from rooms import ROOM, drive, ticks
 from sixthsense.config import AssumedConfig, preset
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.source import Tick
-from sixthsense.slam.motion_source import ByWheels
+from sixthsense.slam.estimators.motion_source import ByWheels
 from sixthsense.slam.scans.tracking import WheelNoise
 from sixthsense.slam.slam import Slam
 
