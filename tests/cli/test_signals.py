@@ -21,13 +21,12 @@ def outcome(folder: Path) -> str:
     return str(json.loads((folder / "metrics.json").read_text())["outcome"])
 
 
-@pytest.mark.parametrize(("name", "code"), [("SIGHUP", 129), ("SIGINT", 130)])
-def test_a_signal_ends_a_run_with_its_record_and_128_plus_its_number(name, code, here):
+def test_ctrl_c_ends_a_run_with_its_record_and_130(here):
     process = start(*ENDLESS)
     wait_until(lambda: has_record(here / "x.partial"))
-    process.send_signal(getattr(signal, name))
+    process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    assert process.returncode == code and err == ""
+    assert process.returncode == 130 and err == ""
     assert out.endswith("written to x/\n")
     assert outcome(here / "x") == "interrupted" and [path.name for path in here.iterdir()] == ["x"]
 
@@ -58,7 +57,8 @@ def test_a_terminated_campaign_keeps_its_rows(here):
     pytest.importorskip("pandas")
     words = ("campaign", "rectangle", "--seeds", "0:50", "--task", "tour", "--max-time", "2", "--workers", "1")
     process = start(*words, "--out", "c")
-    wait_until(lambda: len(list(here.glob("c/curves/run-*"))) > 1)
+    rows = here / "c" / "rows.jsonl"
+    wait_until(lambda: rows.exists() and rows.read_text().count("\n") > 1)
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 143 and "Traceback" not in err

@@ -52,11 +52,11 @@ class Kill(NamedTuple):
     lost_wall_s: float
 
 
-def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
+def kill_one(folder: Path, after_s: float) -> Kill:
     """Start a run in `folder` and kill it `after_s` seconds after its first tick is on disk."""
     notes = folder / "notes"
     notes.write_bytes(struct.pack("<qq", -1, -1))
-    words = ["run", "--task", "tour", "--max-time", "1e6", "--seed", str(seed), "--out", str(folder / "run")]
+    words = ["run", "--task", "tour", "--max-time", "1e6", "--out", str(folder / "run")]
     command = [sys.executable, "-c", CHILD, str(notes), *words]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
         with notes.open("r+b") as file, mmap.mmap(file.fileno(), 16, access=mmap.ACCESS_READ) as seen:
@@ -74,29 +74,26 @@ def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
 
 
 @pytest.fixture(scope="module")
-def kills(tmp_path_factory):
-    rng = np.random.default_rng()
-    return [kill_one(tmp_path_factory.mktemp("killed"), float(rng.uniform(0.0, 1.5))) for _ in range(2)]
+def kill(tmp_path_factory):
+    return kill_one(tmp_path_factory.mktemp("killed"), float(np.random.default_rng().uniform(0.0, 1.5)))
 
 
-def test_a_run_killed_at_any_moment_loses_at_most_its_last_chunk(kills):
-    traces = [load(kill.partial).trace for kill in kills]
-    longest = max(trace.stamps_ns[-1] for trace in traces)
-    whole = run(preset(task="tour", max_time=max(1e-9 * longest, 0.1)))  # on a busy machine one tick may be all
-    for kill, trace in zip(kills, traces, strict=True):
-        count = len(trace.stamps_ns)
-        assert trace.stamps_ns[-1] + 100_000_000 > kill.flushed_ns  # the last scan before the last tick flushed
-        assert kill.lost_wall_s < 1.0
-        assert trace.outcome == "interrupted"
-        assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
-        assert np.array_equal(np.array(trace.truths), np.array(whole.truths[:count]))
-        again = replay(read_run(kill.partial, trace.config.laser), trace.config)
-        assert again.stamps_ns[-1] + 100_000_000 > kill.flushed_ns
-        assert np.array_equal(np.array(again.estimates), np.array(whole.estimates[: len(again.estimates)]))
+def test_a_run_killed_at_any_moment_loses_at_most_its_last_chunk(kill):
+    trace = load(kill.partial).trace
+    whole = run(preset(task="tour", max_time=max(1e-9 * trace.stamps_ns[-1], 0.1)))  # on a busy machine one tick
+    count = len(trace.stamps_ns)
+    assert trace.stamps_ns[-1] + 100_000_000 > kill.flushed_ns  # the last scan before the last tick flushed
+    assert kill.lost_wall_s < 1.0
+    assert trace.outcome == "interrupted"
+    assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
+    assert np.array_equal(np.array(trace.truths), np.array(whole.truths[:count]))
+    again = replay(read_run(kill.partial, trace.config.laser), trace.config)
+    assert again.stamps_ns[-1] + 100_000_000 > kill.flushed_ns
+    assert np.array_equal(np.array(again.estimates), np.array(whole.estimates[: len(again.estimates)]))
 
 
-def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path, capsys):
-    partial = kills[-1].partial
+def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kill, tmp_path, capsys):
+    partial = kill.partial
     assert cli.main(["replay", str(partial), "--out", str(tmp_path / "again")]) == cli.DONE
     out, err = capsys.readouterr()
     assert "\naccuracy     position error " in out

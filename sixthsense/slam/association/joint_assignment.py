@@ -66,7 +66,10 @@ def best_matches(pairs: Pairs, may_match: Mask, penalty: Array, walls: Mask, gat
     row, own = np.empty((2, 2 * steps)), np.empty(2)
     sets, count = 1, 0
     for _ in range(steps):
-        i, found = int(np.argmin(np.where(options > 0, options, 1 + k))), 0
+        i, found = 0, 0
+        for n in range(m):
+            if options[n] > 0 and not 0 < options[i] <= options[n]:
+                i = n
         options[i] = 0  # it has had its turn
         for h in range(sets):
             chain = chains[h, : lengths[h]]

@@ -46,7 +46,7 @@ CONFIG = preset(front_end="scan-matching")
 
 
 def test_two_loops_with_bad_wheels_close():
-    poses = drive(Pose(-9.0, -6.0, 0.0), CORNERS + CORNERS[:2])
+    poses = drive(Pose(-9.0, -6.0, 0.0), CORNERS + CORNERS[:2], step=0.2, turn=0.2)
     slam, result, _, last_key = run(CONFIG, poses, RING, scale=1.05, drift=0.03)
     truth = np.array([pose.array() for pose in poses])
     off = scan_poses(result, last_key) - truth

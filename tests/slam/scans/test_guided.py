@@ -14,9 +14,9 @@ from sixthsense.core.source import Tick
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset("log", front_end="landmarks", features={"landmarks": "both"})
-POSES = drive(Pose(-9.0, -6.0, 0.0), CORNERS)
+POSES = drive(Pose(-9.0, -6.0, 0.0), CORNERS, step=0.2, turn=0.2)
 TRUTH = np.array([pose.array() for pose in POSES])
-SLIP_AT, SLIP = 300, Pose(0.0, 0.5, 0.3)
+SLIP_AT, SLIP = 180, Pose(0.0, 0.5, 0.3)
 
 
 def slipping() -> Iterator[Tick]:
@@ -52,7 +52,7 @@ def test_landmarks_survive_a_slip_where_aligned_scans_propose_the_pose(estimator
 def test_a_proposal_is_no_measurement() -> None:
     config = merge(CONFIG, {"features": {"lines": {"min_points": 400}, "points": {"min_points": 400}}})
     with Slam(config, POSES[0]) as slam:
-        for tick in ticks(POSES[:200], RING, scale=1.05, drift=0.1):
+        for tick in ticks(POSES[:120], RING, scale=1.05, drift=0.1):
             step = slam.take(tick)
         result = slam.finish()
     assert not len(result.estimate.ids) and result.loop_closures is not None

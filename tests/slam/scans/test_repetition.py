@@ -30,7 +30,7 @@ def corridor(length=24.0, width=2.2, deep=0.2):
     return np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
 
 
-def equal_rooms(count=6, pitch=4.4):
+def equal_rooms(count=4, pitch=4.4):
     """Rooms on one side of a corridor along x, each with a door and a table."""
     inner = [[[0, 0], [1.7, 0]], [[2.7, 0], [pitch, 0]], [[0, 0], [0, 4]], [[0, 4], [pitch, 4]]]
     table = np.array([[1.2, 1.5], [2.0, 1.5], [2.0, 2.2], [1.2, 2.2]])
@@ -143,7 +143,7 @@ def test_in_a_corridor_of_equal_doors_no_wrong_door_is_taken_and_the_scans_are_l
 
 
 def test_a_room_that_was_not_seen_before_is_not_taken_for_one_of_those_alike():
-    way = [(4.4 * k + 2.2, y) for k in (0, 2, 4, 1, 3, 5) for y in (-1.1, 1.0, -1.1)]
+    way = [(4.4 * k + 2.2, y) for k in (0, 2, 1, 3) for y in (-1.1, 1.0, -1.1)]
     poses, laser = drive(Pose(0.8, -1.1), way, step=0.15, turn=0.15), ROUND.replaced(max_range=3.5)
     slam, truths = Slam(preset("log"), poses[0]), []
     with slam:
@@ -151,7 +151,7 @@ def test_a_room_that_was_not_seen_before_is_not_taken_for_one_of_those_alike():
             if slam.take(tick).keyframe is not None:
                 truths.append(pose.array())
     links, truths = old_links(slam), np.array(truths)
-    assert len(links) > 100
+    assert len(links) > 50
     assert max(np.hypot(*(between(*truths[a["ends"]]) - a["pose"])[:2]) for a in links) < 0.5
 
 
