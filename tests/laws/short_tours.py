@@ -117,7 +117,8 @@ def scaled(what: str, factor: float) -> AbstractContextManager[object]:
     """A context in which `Slam` scales the covariance of all "observations", or that of the "odometry", by `factor`."""
     if what == "observations":
         return mock.patch.object(extraction, "extract", partial(_scaled_observations, extraction.extract, factor))
-    return mock.patch.object(motion_source, "odometry", partial(_scaled_odometry, motion_source.odometry, factor))
+    measured = partial(_scaled_odometry, motion_source.odometry_of_noise, factor)
+    return mock.patch.object(motion_source, "odometry_of_noise", measured)
 
 
 def _scaled_observations(extract: Callable[..., Features], factor: float, scan: Scan, *rest: object) -> Features:

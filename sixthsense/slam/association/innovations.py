@@ -197,7 +197,7 @@ def match(
     is_far = ~is_matched & (nearest > cfg.new_gate)
     here = innovations.pose_given(estimate.pose, found)
     is_apart = np.asarray(Distances.at(here, observed, estimate, extents).apart(cfg).all(axis=1))
-    is_new = _new_ones(observed.walls, is_matched, is_far, is_apart)
+    is_new = _new_ones(is_matched, is_far, is_apart)
     worth = innovations.worth(found, cfg.match_gate)
     landmark = np.full(len(found), -1)
     landmark[is_matched] = ids[found[is_matched]]
@@ -217,16 +217,16 @@ def _without_lone_one(observed: Observed, innovations: Innovations, found: Indic
     return found
 
 
-def _new_ones(walls: Mask, is_matched: Mask, is_far: Mask, is_apart: Mask) -> Mask:
+def _new_ones(is_matched: Mask, is_far: Mask, is_apart: Mask) -> Mask:
     """(m,) which observations are of new landmarks.
 
-    Arrays (m,) mark those of walls; those that are matched, outside of the gate of all landmarks, and apart from all of
-    them as seen from the pose that the matches imply.
+    Arrays (m,) mark those that are matched, that are outside of the gate of all landmarks, and that are apart from all
+    of them as seen from the pose that the matches imply.
     """
     contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
-    # Where most of the scan matches, a wall may be beside a known one; else these show that the pose is wrong.
-    may_be_beside = walls & (np.count_nonzero(is_matched) > contradicting)
-    return is_far & (is_apart | may_be_beside)
+    # Where most of the scan matches, a landmark may be beside a known one, as the other face of a thin wall and its end
+    # are; else these show that the pose is wrong.
+    return is_far & (is_apart | (np.count_nonzero(is_matched) > contradicting))
 
 
 def _penalties(
