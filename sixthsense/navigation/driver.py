@@ -194,6 +194,6 @@ class Driver:
         """The command of a control tick, and what has happened."""
         if self._is_idle:
             return Command(), None
-        place = pose.x, pose.y, pose.theta
-        self.drive, speed, turn_rate, event = advanced(self.drive, place, stamp_ns, self._turn_rad, self._limits)
+        now = self.drive, pose.triple(), stamp_ns
+        self.drive, speed, turn_rate, event = advanced(*now, self._turn_rad, self._limits)
         return Command(speed, turn_rate), _EVENTS[event]

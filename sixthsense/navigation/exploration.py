@@ -1,7 +1,13 @@
 """One exploration: where the robot drives next, and when it ends (report section 4.5).
 
-It drives from view to view until nothing is left to see, then home. When its position becomes uncertain it drives back
-to a place where it was certain, to close a loop. What it fails to see, or to come to, it gives up after a few tries.
+- Viewing: an explorer chooses a target, unseen cells beside free ones, and the viewpoint to see it from. The default
+  takes the first stop of a short tour through a viewpoint of each piece of the frontier and home. The robot drives to
+  the viewpoint and turns around there. It chooses anew when most of the target is seen, or the viewpoint is blocked.
+- A target that was not reached, or not seen after a look, counts a try at its cells; a look counts one at all unseen
+  cells in view, too. Cells with `TRIES` tries are given up.
+- Closing a loop: where the position is uncertain, and a way back pays, it drives to a place where it was certain.
+- Waiting: where something was given up and people are expected, it looks again after a turn, for a while.
+- Going home: when no target is left. The exploration ends there.
 """
 
 from __future__ import annotations
@@ -201,7 +207,7 @@ class Exploration:
         return ViewMap(map_, pose, self._region, outside_m, self._radius_m, given_up)
 
     def _count_failure(self, clearance: Clearance, pose: Pose, has_looked: bool) -> None:
-        """Count a try at all unseen cells of the target, and of what should have been seen from here."""
+        """Count a try at all cells of the target, and after a look at all unseen cells that are in view from here."""
         assert self._target is not None
         cells = [self._target.cells]
         if has_looked:

@@ -100,10 +100,11 @@ class ExplorationView:
         views = np.array([target.viewpoint for target in targets]) - self.map.first
         stops = np.vstack([self.map.here, views, self.map.cell(self.home)]) // self.map.side
         lengths, cost = np.zeros((len(stops), len(stops))), self.map.tile_cost(1.0)
-        lengths[0, 1:] = self.map.ways[tuple(stops[1:].T)]
-        for k in range(1, len(stops) - 1):
-            ways, _ = ways_from(self.map.links, cost, tuple(stops[k].tolist()), stops[k + 1 :])
-            lengths[k, k + 1 :] = ways[tuple(stops[k + 1 :].T)]
+        lengths[0, 1:], last = self.map.ways[tuple(stops[1:].T)], len(stops) - 1
+        for k in (*range(1, last - 1), last):  # one search from home, which may be far from all views
+            others = np.arange(k + 1 if k < last else 1, last)
+            ways, _ = ways_from(self.map.links, cost, tuple(stops[k].tolist()), stops[others])
+            lengths[k, others] = ways[tuple(stops[others].T)]
         lengths += lengths.T
         if not np.isfinite(lengths[-1]).all():
             lengths[-1] = lengths[:, -1] = 0.0  # while no way home is known the tour is open

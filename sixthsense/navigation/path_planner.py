@@ -108,9 +108,8 @@ class PathPlanner:
         plan = self._planner.plan(space, start, goal)
         if self.plans_by_astar is None:
             return plan
-        config = self._config
-        if config.planner not in PLANNERS.shipped:
-            check_returned(f"planner {config.planner}", "plan", plan, Plan, path_world=(None, 2))
+        if self._config.planner not in PLANNERS.shipped:
+            check_returned(f"planner {self._config.planner}", "plan", plan, Plan, path_world=(None, 2))
         if not plan.found:
             plan = AStar().plan(space, start, goal)
             self.plans_by_astar += plan.found

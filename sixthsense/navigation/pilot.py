@@ -56,6 +56,6 @@ class Pilot:
     def _paced(self, command: Command) -> Command:
         if self.pace == 1.0 or command == Command():
             return command
-        return (
-            Command(self.pace * command.speed, self.pace * command.turn_rate) if self.pace else Command(0.0, TURN_RATE)
-        )
+        if not self.pace:
+            return Command(0.0, TURN_RATE)
+        return Command(self.pace * command.speed, self.pace * command.turn_rate)

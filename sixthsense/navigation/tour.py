@@ -18,8 +18,7 @@ def stop_order(lengths: Array) -> Cells:
     """
     is_way = np.isfinite(lengths)
     no_way = lengths.sum(where=is_way) + 1.0  # more than any tour, and a number that can be added
-    tour = _inserted(np.where(is_way, lengths, no_way))
-    return np.asarray(tour[1:-1])
+    return np.asarray(_inserted(np.where(is_way, lengths, no_way))[1:-1])
 
 
 @numba.njit(cache=True, error_model="numpy")

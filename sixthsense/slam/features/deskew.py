@@ -26,6 +26,7 @@ from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.landmarks import Observation, initialize_landmark, line_point
 from sixthsense.core.laser import Scan, Sweep
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.se2 import Triple
 from sixthsense.core.source import seconds
 
 LONGEST_SWEEP_NS = 1_000_000_000
@@ -58,7 +59,7 @@ class Deskewer:
         mount, times_s = scan.T_robot_laser, scan.times_s
         stamps_s, track, whole = self._track(float(times_s.min()))
         poses = interpolated(stamps_s, track, times_s)  # (N, 3) of the robot, seen from its last
-        ranges, bearings = _moved(scan.ranges, scan.bearings, poses, mount.x, mount.y, mount.theta)
+        ranges, bearings = _moved(scan.ranges, scan.bearings, poses, mount.triple())
         kept, closed = _without_overlap(scan.bearings + poses[:, 2], scan) if scan.closed else (slice(None), False)
         ranges, lags = ranges[kept], times_s[kept] / stamps_s[0] if len(stamps_s) > 1 else 0.0 * times_s[kept]
         ranges.flags.writeable = False
@@ -114,13 +115,14 @@ def _without_overlap(directions: Array, scan: Scan) -> tuple[slice, bool]:
 
 @numba.njit(cache=True, error_model="numpy")
 def _moved(
-    ranges: NDArray[np.float32], bearings: Array, poses: Array, mx: float, my: float, mtheta: float
+    ranges: NDArray[np.float32], bearings: Array, poses: Array, mount: Triple
 ) -> tuple[NDArray[np.float32], Array]:
     """Ranges and bearings (N,) of the beams' ends at the laser's last pose; `poses` (N, 3) of the robot, from its last.
 
-    The laser is mounted at (mx, my, mtheta) on the robot. Bearings are within half a turn of the original ones.
+    The laser is mounted on the robot at `mount`. Bearings are within half a turn of the original ones.
     """
     out, angles = np.empty(len(ranges), np.float32), np.empty(len(ranges))
+    mx, my, mtheta = mount
     c_mount, s_mount = math.cos(mtheta), math.sin(mtheta)
     for i in range(len(ranges)):
         r, theta = float(ranges[i]), poses[i, 2]

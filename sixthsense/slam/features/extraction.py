@@ -111,9 +111,7 @@ def _point_observations(
     kinds: Indices, found: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
 ) -> list[Observation]:
     """Observations in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit."""
-    z, cov, is_certain = _points_from(
-        found, (mount.x, mount.y, mount.theta), assumed.landmark_floor_m**2, config.points.max_sigma_m**2
-    )
+    z, cov, is_certain = _points_from(found, mount.triple(), assumed.landmark_floor_m**2, config.points.max_sigma_m**2)
     return [Observation(Kind(int(kinds[k])), z[k], cov[k]) for k in np.flatnonzero(is_certain).tolist()]
 
 
@@ -138,7 +136,7 @@ def _points_from(found: Array, mount: Triple, floor: float, most: float) -> tupl
 def _wall_observations(walls: Array, mount: Pose, assumed: AssumedConfig) -> list[Observation]:
     """Observations in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser."""
     floors = assumed.wall_floor_rad**2, assumed.landmark_floor_m**2
-    z, cov, extents = _walls_from(walls, (mount.x, mount.y, mount.theta), floors)
+    z, cov, extents = _walls_from(walls, mount.triple(), floors)
     certain = np.flatnonzero(walls[:, 2] <= _MAX_WALL_SIGMA_RAD**2).tolist()
     return [Observation(Kind.WALL, z[k], cov[k], (float(extents[k, 0]), float(extents[k, 1]))) for k in certain]
 
