@@ -46,9 +46,8 @@ def _record(trace: Trace) -> dict[str, float | str]:
         out["landmarks"] = len(trace.records)
     if trace.loop_closures is not None:
         out["loop_closures_found"] = trace.loop_closures.found
-        passed = None if trace.verdict is None else trace.verdict.evidence.get("keyframes_passed_before")
-        if not trace.loop_closures.found and passed is not None:
-            out["keyframes_passed_before"] = round(passed)
+        if not trace.loop_closures.found and trace.verdict is not None:
+            out["keyframes_passed_before"] = int(trace.verdict.evidence.get("keyframes_passed_before", 0))
     for name, parameters in (("wheel_", trace.wheels), ("sensor_", trace.sensor)):
         if parameters is not None:  # (2, n), values and sigmas
             out |= zip((key for key in QUANTITIES if key.startswith(name)), parameters[0].tolist(), strict=True)

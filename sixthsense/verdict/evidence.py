@@ -38,9 +38,11 @@ class Evidence(NamedTuple):
     cut: Array
     """(K,) share of contradicted returns between the scans right before a keyframe and those from it on"""
     overlap: Array
-    """(K,) share of the scan's returns that one of the scans before confirms, the best of them"""
+    """(K,) largest share of returns confirmed of a scan before each and one from it on, not far apart"""
     old: Array
     """(K, 3) the same of scans of other passes"""
+    bends: float
+    """share of what is judged that scans some 2 m of travel and more apart contradict, less that of successive ones"""
     wheels: Disagreement
     links: Array
     """(K,) links that hold the keyframe and those after it to those before; matched landmarks where these are used"""
@@ -65,7 +67,7 @@ def evidence_of(found: Witnesses) -> Evidence:
     off = by_wheels.disagreement(wheels, found.trajectory, measured)
     recent, old = (np.full((count, 3), np.nan) for _ in range(2))
     cut, overlap = (np.full(count, np.nan) for _ in range(2))
-    returns, seen = np.full(count, np.nan), None
+    returns, seen, far, near = np.full(count, np.nan), None, 0.0, 0.0
     pairs, by_pair = np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
     if found.scans:
         views = by_scans.views_of(found.scans)
@@ -74,13 +76,15 @@ def evidence_of(found: Witnesses) -> Evidence:
         judged, by_pair = (by_scans.compared(views, found.trajectory, each) for each in (before, pairs))
         recent, old = _by_keyframe(before[:, 1:], judged, count), _by_keyframe(pairs, by_pair, count)
         cut, overlap = _cuts(before, judged, count), _overlaps(before, judged, count)
+        are_far = np.diff(travel[before])[:, 0] > 0.9 * by_scans.BACK_M[0]
+        far, near = (share(judged[own].sum(axis=0)[None])[0] for own in (are_far, np.diff(before)[:, 0] == 1))
         seen = by_wheels.mirror(views, off) if wheels is not None else None
     at = stamps_s[rows] if len(stamps_s) else np.zeros(count)
     late = None
     if found.wheels is not None and found.matched is None and measured.all():
         late = by_wheels.lag(stamps_s, found.wheels, found.poses)
     return Evidence(
-        at, travel, returns, recent, cut, overlap, old, off, _ties(found, count),
+        at, travel, returns, recent, cut, overlap, old, float(np.nan_to_num(far - near)), off, _ties(found, count),
         seen, by_wheels.mount(off), by_wheels.turns(off), late, found.closures, pairs, by_pair,
     )  # fmt: skip
 
@@ -126,9 +130,13 @@ def _shifted(shares: Array, pairs: Sequence[tuple[int, int]]) -> Array:
 
 
 def _overlaps(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
-    """(K,) the best share of returns confirmed of the pairs that end at each keyframe; NaN for the first."""
-    out = np.zeros(count)
-    np.maximum.at(out, pairs[:, 1], found[:, SURFACE] / np.maximum(found[:, ALL], 1))
+    """(K,) the best share of returns confirmed of the pairs of one keyframe before each and one from it on.
+
+    Keyframes without a return cut nothing if the next ones confirm those before. NaN for the first.
+    """
+    out, shares = np.zeros(count), found[:, SURFACE] / np.maximum(found[:, ALL], 1)
+    for k in np.argsort(shares).tolist():  # the best is written last
+        out[pairs[k, 0] + 1 : pairs[k, 1] + 1] = shares[k]
     out[:1] = np.nan
     return out
 

@@ -14,7 +14,6 @@ from sixthsense.verdict.witnesses import Witnesses
 
 DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
 """A map is doubtful if it is more likely wrong than right, and broken if it is at least nine times as likely."""
-_MOUNT = ("x_m", "y_m", "theta_rad")
 _LEAST_TRAVEL_M = 2.0
 """with a turn of a radian as half a metre: scans of one place do not contradict each other"""
 
@@ -59,6 +58,4 @@ def _numbers(evidence: Evidence) -> dict[str, float]:
     numbers = {"keyframes_passed_before": float(np.count_nonzero(evidence.old[:, ALL] > 0.0))}
     for name, found in (("recent", evidence.recent), ("old", evidence.old)):
         numbers[f"verdict_contradicted_{name}"] = share(np.nansum(found, axis=0)[None])[0]
-    if evidence.mount is not None:
-        numbers |= {f"verdict_mount_{axis}": evidence.mount.offset[k] for k, axis in enumerate(_MOUNT)}
     return {name: float(number) for name, number in numbers.items() if np.isfinite(number)}

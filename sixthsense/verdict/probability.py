@@ -57,13 +57,15 @@ def run_features(found: Evidence) -> Array:
 
 
 def map_features(found: Evidence, keyframes: Array) -> Array:
-    """(7,) of `FEATURES`: the largest of the keyframes' (K, 7), and what other passes contradict in all.
+    """(7,) of `FEATURES`: the largest of the keyframes' (K, 7), and what scans contradict in all.
 
-    Beyond what scans of one pass contradict of each other: people and a bad laser are no evidence against walls.
+    Those of other passes beyond what scans of one pass contradict of each other, and these beyond what successive scans
+    do: people and a bad laser are no evidence against walls.
     """
     largest = keyframes.max(axis=0, initial=0.0)
     old, recent = (share(np.nansum(each, axis=0)[None])[0] for each in (found.old, found.recent))
     largest[OF_KEYFRAMES.index("old")] = np.sqrt(np.fmax(old - recent, 0.0))
+    largest[OF_KEYFRAMES.index("recent")] = np.sqrt(max(found.bends, 0.0))
     return np.asarray(largest)
 
 

@@ -10,7 +10,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.verdict.disagreement import disagreement, lag, mount, turns
-from sixthsense.verdict.evidence import _cuts, evidence_of, over_window, share, sum_over_window
+from sixthsense.verdict.evidence import _cuts, _overlaps, evidence_of, over_window, share, sum_over_window
 from sixthsense.verdict.judge import judge
 from sixthsense.verdict.probability import FEATURES, map_features
 from sixthsense.verdict.views import (
@@ -168,6 +168,14 @@ def test_one_scan_that_fits_nothing_is_no_cut_and_a_place_that_no_pair_spans_is_
         )
 
 
+def test_keyframes_without_a_return_untie_nothing_where_the_next_confirm_those_before():
+    pairs = np.array([(k, k + step) for k in range(12) for step in (1, 2, 3) if k + step < 12])
+    blank, apart = np.isin(pairs, (5, 6)).any(axis=1), (pairs[:, 0] < 6) & (pairs[:, 1] >= 6)
+    for none, untied in ((blank, []), (apart, [6])):
+        overlaps = _overlaps(pairs, np.where(none[:, None], 0, [60, 0, 90]), 12)
+        assert math.isnan(overlaps[0]) and np.flatnonzero(overlaps[1:] < 0.6).tolist() == [k - 1 for k in untied]
+
+
 def test_what_scans_contradict_on_either_side_alone_is_no_cut():
     """Where a laser meets the ground of a slope each scan contradicts the next; the robot may be carried there, too."""
     pairs = np.array([(k, k + step) for k in range(16) for step in (1, 2, 3) if k + step < 16])
@@ -228,6 +236,8 @@ def test_other_passes_are_evidence_beyond_what_one_pass_contradicts_of_itself(re
     found = map_features(own._replace(**judged), np.zeros((12, len(FEATURES))))
     assert found[FEATURES.index("old")] ** 2 == pytest.approx(expected * 120.0 / (120.0 + FEWEST), abs=1e-9)
     assert np.count_nonzero(found) == (expected > 0.0)
+    bent = map_features(own._replace(bends=0.09), np.full((12, len(FEATURES)), 0.2))
+    assert bent[FEATURES.index("recent")] == pytest.approx(0.3)
 
 
 def test_a_front_end_that_the_verdict_is_not_fitted_to_is_named():
