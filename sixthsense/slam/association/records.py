@@ -166,10 +166,11 @@ class Crookedness:
 def less_certain(observation: Observation, record: Record) -> Observation:
     """The observation of a wall with the error of its shape, which stays while the same stretch is seen.
 
-    Where it were all of the error, n looks would determine the wall by 1 / n times the variance of one. They are given
-    2 k - 1 times that variance, for the look k: together they determine it hardly better than one.
+    Of n looks that have an error of covariance S in common, and own ones of R each, the mean has the covariance
+    S + R / n. An estimator that takes them as independent finds that if the look k has (R + k S) R^-1 (R + (k - 1) S).
     """
     if record.square_m2 == 0.0:
         return observation
-    cov = (2 * record.looks - 1) * record.square_m2 * unit_cov(*observation.extent, True)
-    return replace(observation, cov=observation.cov + cov)
+    shape, own, k = record.square_m2 * unit_cov(*observation.extent, True), observation.cov, record.looks
+    cov = (own + k * shape) @ np.linalg.solve(own, own + (k - 1) * shape)
+    return replace(observation, cov=0.5 * (cov + cov.T))

@@ -100,5 +100,7 @@ def test_a_crooked_wall_is_uncertain_by_its_mean_square_and_a_tilt_of_thrice_tha
         assert across @ cov @ across == pytest.approx(1.0 + 3.0 * ((place - 1.6) / 1.2) ** 2)
     wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.diag([0.01, 0.02]), (0.4, 2.8))
     record = Record(Kind.WALL, 3, 0, 0, square_m2=0.003, looks=2)
-    assert less_certain(wall, record).cov == pytest.approx(wall.cov + 3 * 0.003 * cov)
+    shape = 0.003 * cov
+    own = wall.cov + 3 * shape + 2 * shape @ np.linalg.inv(wall.cov) @ shape
+    assert less_certain(wall, record).cov == pytest.approx(own)
     np.testing.assert_array_equal(unit_cov(0.4, 2.8, False), np.eye(2))  # a point is off along any axis
