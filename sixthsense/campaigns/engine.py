@@ -145,6 +145,9 @@ class Processes:
 
 def _begin(parent: int, initialize: Callable[[], object] | None) -> None:
     """In a process: end with the process that has started it, and prepare for calls."""
+    from tqdm import tqdm
+
+    tqdm.set_lock(threading.RLock())  # in place of a semaphore, which a process that is killed would leave behind
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     if initialize is not None:
         initialize()

@@ -91,10 +91,12 @@ def test_calls_that_run_when_their_iterator_is_closed_end_with_their_executor(ca
 def test_a_program_needs_no_guard_and_nothing_is_left_of_it(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text("""
+from tqdm.auto import tqdm
 from sixthsense.campaigns.engine import Processes, carry_out
 print("begun")
 def doubled(x):
-    return 2 * x
+    with tqdm(disable=True):
+        return 2 * x
 with Processes(2) as pool:
     print(sorted(future.result() for _, future in carry_out(pool, doubled, {"a": 1, "b": 2, "c": 3})))
 """)
