@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
+from functools import partial
+from typing import Any
 
 import numpy as np
 from predicted import predict_points
@@ -12,6 +14,7 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator
+from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.testing import estimators as worlds
 from sixthsense.testing.estimators import CONVERGED, Part, fed, joint_state
 
@@ -21,6 +24,15 @@ POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0
 START = Pose(0.3, -0.2, 0.4)
 START_COV = np.diag([0.02, 0.03, 0.01]) + 0.002
 CONSISTENT = ("ekf-invariant", "isam2")
+
+
+def broken(base: type = EKF, **calls: Callable[..., Any]) -> type:
+    """A shipped part with other calls: functions of the part, of its own call, and of the arguments."""
+
+    def method(name: str, other: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda own, *args: other(own, partial(getattr(base, name), own), *args)
+
+    return type("Broken", (base,), {name: method(name, other) for name, other in calls.items()})
 
 
 def make(part: Part, start: Pose = START, start_cov: Array = START_COV, isam2: ISAM2Config = CONVERGED) -> Estimator:

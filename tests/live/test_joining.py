@@ -78,23 +78,17 @@ def test_a_tick_has_the_pose_of_its_stamp_after_the_odometry_before_it():
     assert driver.joiner.now(95 * MS) == BEGAN + 95 * MS
 
 
-def test_the_first_odometry_is_where_the_map_begins():
-    start, first, later = Pose(-3.0, 5.0, 2.2), Pose(2.0, 3.0, 0.4), Pose(2.1, 3.2, 0.5)
-    joiner = ScanJoiner(RobotConfig(), print, start)
-    for ms, pose in ((20, first), (140, later)):
-        assert joiner.add_odometry(BEGAN + ms * MS, pose, ms * MS) == ""
-    assert joiner.newest is not None
-    assert joiner.newest[1].array() == pytest.approx((start @ first.inverse() @ later).array())
-
-
 def test_odometry_that_begins_anew_twice_goes_on_from_where_it_was_and_tells_its_jump():
-    joiner, way = ScanJoiner(RobotConfig(speed=0.7), print), [Pose(2, 3, 0.4), Pose(9, -4, 2), Pose(5, 6, -2.5)]
-    jumps = [joiner.add_odometry(BEGAN + ms * MS, pose, ms * MS) for ms, pose in zip((20, 40, 2040), way, strict=True)]
-    went = way[0] @ way[1].inverse() @ way[2]
-    jump_m = math.dist(went.position, way[0].position)
-    assert not jumps[0] and jumps[1] and jumps[2] == f"odometry has jumped by {jump_m:.1f} m after 2.0 s"
-    assert joiner.newest is not None and joiner.newest[1].array() == pytest.approx(way[0].array())
-    assert (joiner.T_joined_odom @ way[2]).array() == pytest.approx(way[0].array())
+    start, way = Pose(-3.0, 5.0, 2.2), [Pose(2, 3, 0.4), Pose(2.1, 3.2, 0.5), Pose(9, -4, 2), Pose(5, 6, -2.5)]
+    joiner, stamps_ms = ScanJoiner(RobotConfig(speed=0.7), print, start), (20, 140, 160, 2160)
+    jumps = []
+    for ms, pose in zip(stamps_ms, way, strict=True):
+        jumps.append(joiner.add_odometry(BEGAN + ms * MS, pose, ms * MS))
+        at = start if ms == 20 else start @ way[0].inverse() @ way[1]  # the first odometry is where the map begins
+        assert joiner.newest is not None and joiner.newest[1].array() == pytest.approx(at.array())
+    jump_m = math.dist((way[1] @ way[2].inverse() @ way[3]).position, way[1].position)
+    assert jumps[:2] == ["", ""] and jumps[2] and jumps[3] == f"odometry has jumped by {jump_m:.1f} m after 2.0 s"
+    assert (joiner.T_joined_odom @ way[3]).array() == pytest.approx(at.array())
 
 
 @pytest.mark.parametrize(("pause_s", "off", "is_anew"), [

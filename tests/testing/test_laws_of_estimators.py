@@ -3,12 +3,11 @@
 import itertools
 import re
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from laws import links, parameters, prior_map
-from point_world import CONVERGED, rotated_covariance, step
+from point_world import CONVERGED, broken, rotated_covariance, step
 
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator, Filter, Smoother
@@ -28,15 +27,6 @@ ORDERED = "the joint covariance is symmetric positive definite and in the reques
 class Smooths(ISAM2):
     def __init__(self, start, start_cov, _):
         super().__init__(start, start_cov, CONVERGED)
-
-
-def broken(base=EKF, **calls):
-    """A shipped estimator with other calls: functions of the estimator, of its own call, and of the arguments."""
-
-    def method(name, other):
-        return lambda own, *args: other(own, partial(getattr(base, name), own), *args)
-
-    return type("Broken", (base,), {name: method(name, other) for name, other in calls.items()})
 
 
 def known(own):
