@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numba
 import numpy as np
 from scipy.special import gammaincinv
 
@@ -53,9 +55,20 @@ def check_covariance(name: str, value: Array) -> Array:
     cov = np.ascontiguousarray(value, dtype=np.float64)
     if cov.shape != (3, 3):
         raise ValueError(f"{name}: expected shape (3, 3), got {cov.shape}")
-    if fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK):
+    if not _is_definite(cov) and (fault := covariance_fault(cov, lowest=-COVARIANCE_SLACK)):
         raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, no eigenvalue below 0")
     return cov
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_definite(cov: Array) -> bool:
+    """Whether a matrix (3, 3) is finite, symmetric and positive definite, by the pivots of its factors."""
+    first, f = cov[0, 0], cov[2, 0] / cov[0, 0]
+    second = cov[1, 1] - cov[1, 0] ** 2 / first
+    third = cov[2, 2] - f * cov[2, 0] - (cov[2, 1] - f * cov[1, 0]) ** 2 / second
+    off = abs(cov[0, 1] - cov[1, 0]) + abs(cov[0, 2] - cov[2, 0]) + abs(cov[1, 2] - cov[2, 1])
+    is_positive = min(first, second, third) > 0.0 and first + second + third < math.inf
+    return bool(is_positive and off <= COVARIANCE_SLACK * first)
 
 
 def covariance_fault(cov: Array, lowest: float) -> str:

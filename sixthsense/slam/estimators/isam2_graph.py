@@ -121,6 +121,8 @@ class Graph:
         # GTSAM returns both in the order of their keys.
         values = self.isam.calculateEstimate()
         framed = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
+        if not self._landmarks:
+            return framed, framed[:0]
         points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
         kinds = [self._table[key] for key in values.keys()]  # noqa: SIM118
         is_pose = np.array([kind is Kind.POSE for kind, _ in kinds if kind in (Kind.POSE, Kind.WALL)], dtype=np.bool_)

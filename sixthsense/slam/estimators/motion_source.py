@@ -69,7 +69,11 @@ def with_wheel_errors(odometry: Odometry, errors: WheelsConfig = _USUAL) -> Odom
     distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
     position = (errors.position_m + errors.position_per_m * distance) ** 2
     heading = (errors.heading_rad + errors.heading_per_rad * turn + errors.heading_per_m * distance) ** 2
-    return Odometry(motion, odometry.cov + np.diag([position, position, heading]), odometry.wheels)
+    cov = odometry.cov.copy()
+    cov[0, 0] += position
+    cov[1, 1] += position
+    cov[2, 2] += heading
+    return Odometry(motion, cov, odometry.wheels)
 
 
 _SIGMAS = np.array([1.0, 1.0, 1.0])  # m/s, m/s, rad/s: somebody who walks, and looks around

@@ -26,24 +26,26 @@ def straight_gaps(scan: Scan, noise: LaserNoise, shortest_m: float, radius_m: fl
     """(W, 2, 2) the gaps of one wall that are longer than a limit and no way for a robot, robot frame, metres."""
     ranges = np.where(scan.is_return, scan.ranges.astype(np.float64), np.nan)
     # Of each return and its neighbours before and after, those of a closed scan around its end.
-    after = (np.roll(scan.bearings, -1) - scan.bearings) % math.tau
+    bearings, following = scan.bearings, np.arange(1, len(ranges) + 1) % len(ranges)
+    preceding = (following - 2) % len(ranges)
+    after = (bearings[following] - bearings) % math.tau
     if not scan.closed:
         after[-1] = math.pi
-    before = np.roll(after, 1)
-    q = 1.0 / ranges
-    q_before, q_after = np.roll(q, 1), np.roll(q, -1)
+    before, q = after[preceding], 1.0 / ranges
+    q_before, q_after = q[preceding], q[following]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share_before, share_after = np.sin(after) / np.sin(before + after), np.sin(before) / np.sin(before + after)
+        sines, both = np.sin(after), np.sin(before + after)
+        share_before, share_after = sines / both, sines[preceding] / both
         slope = (q_after - q_before) / (before + after)
         variance = np.zeros(len(q))
         for weight, value in ((share_before, q_before), (1.0, q), (share_after, q_after)):
             variance += weight * weight * ((noise.range_m * value * value) ** 2 + (noise.bearing_rad * slope) ** 2)
         off = np.abs(share_before * q_before + share_after * q_after - q)
         is_straight = (before + after < math.pi) & (off <= SIGNIFICANT * np.sqrt(variance))
-        gaps = np.stack([scan.points_robot, np.roll(scan.points_robot, -1, axis=0)], axis=1)
+        gaps = np.stack([scan.points_robot, scan.points_robot[following]], axis=1)
         length = np.linalg.norm(gaps[:, 1] - gaps[:, 0], axis=1)
-    across = np.fmin(ranges, np.roll(ranges, -1)) * np.sin(after)
-    is_certain = is_straight & np.roll(is_straight, -1) & (across < radius_m)
+    across = np.fmin(ranges, ranges[following]) * sines
+    is_certain = is_straight & is_straight[following] & (across < radius_m)
     longest = np.where(is_certain, _ALONG * radius_m, 2.0 * radius_m)
-    is_gap = (is_straight | np.roll(is_straight, -1)) & (after < math.pi) & (shortest_m < length) & (length < longest)
+    is_gap = (is_straight | is_straight[following]) & (after < math.pi) & (shortest_m < length) & (length < longest)
     return np.asarray(gaps[is_gap])

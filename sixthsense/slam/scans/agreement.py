@@ -62,7 +62,8 @@ def agreement(returns: Returns, target: int, source: int, pose: tuple[float, flo
             q = beam % seen.beams
             r = points[target, q, 2]
             if r > 0.0:
-                apart = math.hypot(x - points[target, q, 0], y - points[target, q, 1])
+                dx, dy = x - points[target, q, 0], y - points[target, q, 1]
+                apart = math.sqrt(dx * dx + dy * dy)
                 if apart < nearest:
                     nearest, found = apart, q
                 gap, shortest = min(gap, apart, abs(distance - r)), min(shortest, r)

@@ -75,6 +75,7 @@ class ScanFrontEnd:
         self._lost: set[int] = set()
         """keyframes whose scans fitted nothing"""
         self._scans: list[TrackedScan] = []
+        self._privates: dict[int, Array] = {}
 
     @property
     def since(self) -> Odometry:
@@ -251,7 +252,10 @@ class ScanFrontEnd:
         return dataclasses.replace(estimate, pose_cov=cov)
 
     def _private(self, key: int) -> Array:
-        return private_covariance(self._store.returns, key, self._config.assumed.laser.range_m)
+        """The private covariance of a keyframe's scan, which is computed once."""
+        if key not in self._privates:
+            self._privates[key] = private_covariance(self._store.returns, key, self._config.assumed.laser.range_m)
+        return self._privates[key]
 
 
 class TrackedScan(NamedTuple):

@@ -86,7 +86,7 @@ class PlacedScans:
 
     def add(self, pose: Array) -> None:
         """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
-        self._keyframes = np.append(self._keyframes, np.zeros(1, KEYFRAME))
+        self._keyframes = _joined(self._keyframes, np.zeros(1, KEYFRAME))
         self._keyframes["pose"][-1] = pose
 
     def moved(self, travel_m: float, position_m2: float = 0.0, heading_rad2: float = 0.0) -> None:
@@ -158,7 +158,7 @@ class ScanGraph(PlacedScans):
         measured = zip(given.ends.tolist(), given.motions.tolist(), given.covs, strict=True)
         links = [Link(a, b, Odometry(Pose(*motion), cov), loss) for (a, b), motion, cov in measured]
         rows["id"] = self.estimator.link(links)
-        self._set(np.concatenate([self.links, rows]))
+        self._set(_joined(self.links, rows))
         if closes or self.count - self._refreshed >= PERIOD:
             self.refresh()
             return
@@ -248,12 +248,11 @@ class ScanGraph(PlacedScans):
         The ways follow motions from keyframe to keyframe and links to old ones. An error of heading moves the position
         by its distance from `key`, so that variances add up along a way (Dijkstra).
         """
-        links = self.links
-        old, steps = links[links["is_old"]], np.arange(1, self.count)
-        ends = np.concatenate([np.column_stack([steps - 1, steps]), old["ends"]])
-        xx, yy, xy = (np.ascontiguousarray(old["cov"][:, i, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+        covs, steps = self.links["cov"][self.links["is_old"]], np.arange(1, self.count)
+        ends = np.concatenate([np.column_stack([steps - 1, steps]), self._old])
+        xx, yy, xy = covs[:, 0, 0], covs[:, 1, 1], covs[:, 0, 1]
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        own = np.column_stack([largest, old["cov"][:, 2, 2]])
+        own = np.column_stack([largest, covs[:, 2, 2]])
         variances = np.concatenate([self._keyframes["step"][1 : self.count], own])
         lever = self.poses[ends[:, 1], :2] - self.poses[key, :2]
         costs = variances[:, 0] + variances[:, 1] * (lever**2).sum(axis=1), variances[:, 1]
@@ -274,6 +273,11 @@ def overlapping(scans: PlacedScans, key: int, pose: Array, candidates: NDArray[n
     distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap_angle(poses[:, 2] - pose[2]))
     order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
     return np.asarray(candidates[order[distance[order] < REACH_M]], dtype=np.int64)
+
+
+def _joined(rows: Rows, more: Rows) -> Rows:
+    """Rows and those that follow them, joined as bytes: NumPy copies structured rows field by field."""
+    return np.concatenate([rows.view(np.uint8), more.view(np.uint8)]).view(rows.dtype)
 
 
 def _independent(links: Keys) -> Array:

@@ -36,7 +36,7 @@ class KnownPlaces:
         self._scans = scans
         self._anchors: list[int] = []
         """scans that places are around, of each of which the submap is complete"""
-        self._looks: list[Array] = []
+        self._looks = np.zeros((0, BINS))
         """what the places around them look like"""
         self._submaps: dict[tuple[int, float, int], Pyramid] = {}
         """by an anchor, what its points were limited to, and the number of its scans"""
@@ -58,7 +58,7 @@ class KnownPlaces:
     @property
     def looks(self) -> Array:
         """(n, BINS) what the places look like."""
-        return np.array([self._looks[row] for row in self._rows]).reshape(-1, BINS)
+        return np.asarray(self._looks[self._rows])
 
     def seek(self, old: NDArray[np.int64], known: NDArray[np.int64]) -> None:
         """Seek among the scans `old`, ascending; places are judged by all the scans `known`."""
@@ -105,7 +105,8 @@ class KnownPlaces:
             anchor = int(np.searchsorted(travelled_m, next_m))
             if anchor == len(travelled_m) or travelled_m[anchor] + HALF_M >= end_m:
                 return
-            self._looks.append(appearance(surfaces_around(self._scans, *self._around(anchor, HALF_M))[0]))
+            look = appearance(surfaces_around(self._scans, *self._around(anchor, HALF_M))[0])
+            self._looks = np.vstack([self._looks, look])
             self._anchors.append(anchor)
 
 

@@ -236,12 +236,22 @@ def appearance(surfaces: Array) -> Array:
     """
     rows = np.linspace(0, len(surfaces) - 1, min(len(surfaces), MOST_POINTS)).astype(np.int64)
     kept = surfaces[rows]
-    kept = kept[kept[:, 2:].any(axis=1)]
-    i, j = np.tril_indices(len(kept), -1)
-    off, (n, m) = kept[j, :2] - kept[i, :2], (kept[i, 2:], kept[j, 2:])
-    distance = np.maximum(np.hypot(off[:, 0], off[:, 1]), CELL_M)
-    along = (np.abs((n * off).sum(axis=1)) + np.abs((m * off).sum(axis=1))) / distance
-    by_angle = np.minimum(_ANGLES * np.array([np.abs((n * m).sum(axis=1)), 0.5 * along]), _ANGLES - 1).astype(np.int64)
-    k = _ANGLES**2 * np.minimum(distance / _BIN_M, _BINS - 1).astype(np.int64) + _ANGLES * by_angle[0] + by_angle[1]
-    counts = np.bincount(k, minlength=BINS)
-    return np.asarray(np.sqrt(counts / max(len(k), 1)))
+    counts = _pairs(np.ascontiguousarray(kept[kept[:, 2:].any(axis=1)]))
+    return np.asarray(np.sqrt(counts / max(counts.sum(), 1.0)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _pairs(surfaces: Array) -> Array:
+    """(BINS,) number of pairs of points with normals (N, 4) by distance and angles."""
+    counts = np.zeros(BINS)
+    for i in range(len(surfaces)):
+        x, y, nx, ny = surfaces[i]
+        for j in range(i):
+            mx, my = surfaces[j, 2], surfaces[j, 3]
+            dx, dy = surfaces[j, 0] - x, surfaces[j, 1] - y
+            distance = max(math.sqrt(dx * dx + dy * dy), CELL_M)
+            along = (abs(nx * dx + ny * dy) + abs(mx * dx + my * dy)) / distance
+            apart = int(min(distance / _BIN_M, _BINS - 1))
+            turned = int(min(_ANGLES * abs(nx * mx + ny * my), _ANGLES - 1))
+            counts[_ANGLES * (_ANGLES * apart + turned) + int(min(_ANGLES * 0.5 * along, _ANGLES - 1))] += 1.0
+    return counts
