@@ -15,7 +15,8 @@ from sixthsense.core.landmarks import LandmarkId
 from sixthsense.evaluation.metrics import heading_rmse
 from sixthsense.evaluation.true_identities import identify, landmark_identities, true_identities
 from sixthsense.figures.run import Run
-from sixthsense.logs.mrclam import read_mrclam, true_landmarks
+from sixthsense.logs.mrclam import read_mrclam
+from sixthsense.logs.text_lines import read_table
 from sixthsense.testing.circle import follow, simulate
 
 TOUR_S, WORLD_S = 200.0, 80.0
@@ -65,7 +66,8 @@ def mrclam(setting: Setting, seed: int) -> Figures:
     assert seed == 0
     config, folder = preset("mrclam"), data_path("mrclam6")
     made = replay(read_mrclam(folder, config.assumed, int(setting[0])), config)
-    trace, landmarks = made.trace, true_landmarks(folder)
+    table = read_table(folder / "Landmark_Groundtruth.dat", "subject x y sigma-x sigma-y").numbers
+    trace, landmarks = made.trace, dict(zip(table[:, 0].astype(int).tolist(), table[:, 1:3], strict=True))
     truth, estimates = np.array(trace.truths), np.array(trace.estimates)
     figures = chosen(made.metrics) | {
         "per_axis_m": per_axis_rmse(estimates, truth), "heading_deg": math.degrees(heading_rmse(estimates, truth)),

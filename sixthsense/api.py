@@ -188,7 +188,7 @@ def merge_runs(
     from sixthsense.running.merging import open_merged, replay_merged
 
     first, second = path_of("first", first), path_of("second", second)
-    check_options(fields)
+    check_options(first, fields)
     for run in (first, second):
         check_out(run, None if out is None else path_of("out", out))
     merged = open_merged(first, second, configured(config or load_config(first / "config.toml"), fields))
@@ -226,7 +226,7 @@ def _opened(
     from sixthsense.logs.replay_input import base_of, check_options, check_out, of_opened, open_recorded
 
     if isinstance(log, str | Path):
-        check_options(given)
+        check_options(log, given, chosen.given())
         check_out(log, None if out is None else path_of("out", out))
         base = (given.pop("preset", None) or base_of(log)) if config is None else config
         return open_recorded(log, configured(base, given), relations, chosen)

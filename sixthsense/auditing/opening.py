@@ -19,7 +19,7 @@ from sixthsense.config.section import Section
 from sixthsense.core.arguments import as_array
 from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
-from sixthsense.logs import is_run_folder, kind_of
+from sixthsense.logs import kind_of
 from sixthsense.logs.diagnose import findings_of
 from sixthsense.logs.log import Odometry, ascending, matched
 from sixthsense.logs.text_lines import read_covariances, read_trajectory, unit_of
@@ -144,7 +144,7 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
     """Name and record of a run or of the folder of one; None for any other source."""
     if isinstance(source, MeasuredRun):
         return source.name, source.trace
-    if isinstance(source, (str, Path)) and is_run_folder(Path(source)):
+    if isinstance(source, (str, Path)) and kind_of(Path(source)) == "run":
         from sixthsense.record.store import load_record
 
         return str(Path(source)), load_record(source).trace

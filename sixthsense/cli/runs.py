@@ -66,7 +66,7 @@ class Replay(WithPriorMap):
         from sixthsense import api
         from sixthsense.logs.replay_input import check_options
 
-        check_options(flags)
+        check_options(self.log, flags)
         stem = f"{Path(self.log or '').absolute().name.split('.')[0]}-{self.settings.estimator}"
         given = {"topics": self.topics, "odometry_frames": self.odometry_frames}
         chosen = {name: tuple(words.split(",")) if words else () for name, words in given.items()} | self.prior()
@@ -100,7 +100,7 @@ class Merge(Common):
         from sixthsense import api
         from sixthsense.logs.replay_input import check_options
 
-        check_options(flags)
+        check_options(self.runs[0], flags)
         names = (Path(run).absolute().name for run in self.runs)
         return self.started(api.merge_runs, "-".join(names), *self.runs, config=self.settings)
 

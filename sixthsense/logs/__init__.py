@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -63,16 +64,11 @@ def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""
     from sixthsense.logs.text_lines import records
 
     if path.is_dir():
-        if is_run_folder(path):
+        if (path / "config.toml").is_file():
             return "run"
         is_bag = (path / "metadata.yaml").is_file() or bag_files(path)
         return "bag" if is_bag else "mrclam" if any(path.glob("Robot*_*.dat*")) else ""
     if suffix_of(path):
         return "bag"
-    words = (record.fields[0] for record in records(path))
+    words = (record.fields[0] for record in itertools.islice(records(path), 10_000))  # a film has more
     return next(("graph" if word in TAGS else "carmen" for word in words if word in TAGS or word in MESSAGES), "")
-
-
-def is_run_folder(path: Path) -> bool:
-    """Whether a path is a run folder, finished or not."""
-    return (path / "config.toml").is_file()

@@ -68,13 +68,13 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
     kinds: Counter[bytes] = Counter()
     params, refused = {_OFFSET: 0.0, _MAX: 0.0}, []
     for record in records(path):
-        kind, *fields = record.fields
+        fields, kind = record.fields, record.fields[0]
         kinds[kind] += 1
         try:
             if kind in _FIELDS:
                 lines.append(_reading(record))
-            elif kind == b"PARAM" and len(fields) > 1 and fields[0] in params:
-                params[fields[0]] = float(record.numbers(fields[1:2])[0])
+            elif kind == b"PARAM" and len(fields) > 2 and fields[1] in params:
+                params[fields[1]] = float(record.numbers(fields[2:3])[0])
         except InputError as error:
             refused.append(str(error.at(error.where.removeprefix(f"{path} "))))
     kind = max((ROBOTLASER, FLASER), key=lambda each: kinds[each])
@@ -82,8 +82,8 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
     scans = [reading for reading in readings if len(reading.ranges)]
     if not scans:
         there = ", ".join(f"{n} {name.decode(errors='replace')[:20]}" for name, n in kinds.most_common(5))
-        none = [f"found no FLASER or ROBOTLASER1 line ({there})"]
-        raise InputError(path, (refused or none)[0], "a log with laser scans")
+        none = f"found no FLASER or ROBOTLASER1 line ({there})"
+        raise InputError(path, (refused or [none])[0], "a log with laser scans")
     left_out = {
         "scans of the other of FLASER and ROBOTLASER1 are left out": len(lines) - len(readings),
         f"lines are left out, the first: {''.join(refused[:1])}": len(refused),
@@ -101,9 +101,8 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
         for reading, stamp_ns in zip(readings, stamps.tolist(), strict=True)
         if len(reading.ranges)
     ]
-    counts = {len(reading.ranges) for reading in scans}
-    is_open = kind == FLASER and "fov" not in given.model_fields_set and len(counts) == 1
-    return Log.of(made, odometry, given, found, geometry.beams_by_count(max(counts)) if is_open else ())
+    is_open = kind == FLASER and "fov" not in given.model_fields_set and len({len(each.ranges) for each in scans}) == 1
+    return Log.of(made, odometry, given, found, geometry.beams_by_count(len(scans[0].ranges)) if is_open else ())
 
 
 def _reading(record: Record) -> _Reading:
@@ -118,7 +117,7 @@ def _reading(record: Record) -> _Reading:
         cut = " (a CARMEN line cut short)" * (len(fields) < expected)
         record.fail(f"found {kind.decode()} of {count} ranges and {len(fields)} fields, allowed: {expected}{cut}")
     poses = record.numbers(fields[-tail : 3 - tail if kind == ODOM else 6 - tail]).reshape(-1, 3)
-    ranges = record.numbers(fields[head : head + count], None)
+    ranges = record.numbers(fields[head : head + count], None) if count else np.zeros(0)
     seen = np.where((ranges >= 0.0) & (ranges <= LARGEST), ranges, np.inf).astype(np.float32)
     beams, reach = _stated(record, count) if kind == ROBOTLASER else (None, math.inf)
     return _Reading(kind, record.stamp_ns(fields[-3]), float(fields[-3]), poses[[0, -1]], seen, beams, reach)
@@ -142,8 +141,7 @@ def _mount(scans: Sequence[_Reading], given: LaserConfig, ahead_m: float, found:
     place = geometry.mount_from_poses(*np.stack([reading.poses for reading in scans], axis=1))
     if place is None:
         where = f"{ahead_m:g} m ahead of the robot's centre ({_OFFSET.decode()})" if ahead_m else "the robot's centre"
-        why = "since its poses do not move as one body with the robot's"
-        found.append(Finding("assumed_mount", place=f"{where}, {why}"))
+        found.append(Finding("assumed_mount", place=f"{where}, since its poses do not move as one body with the robot"))
     return place or Pose(ahead_m, 0.0, 0.0)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,11 +177,10 @@ def _of_turns(sightings: Sequence[Sighting], odometry: Odometry, candidates: Seq
         at = np.interp(times_s[some] - lags_s[:, None, None], known_s, poses[:, 2], left=np.nan, right=np.nan)
         return np.asarray(at[..., 1] - at[..., 0])
 
-    own = [each.scan for each in sightings]
-    made = [[with_beams(scan, beams) for scan in own] for beams in candidates] or [own]
     some, far_s = _evenly(np.arange(len(pairs))), 0.0
     coarse = np.arange(-_MOST_S, _MOST_S, 5.0 * _STEP_S)
-    seen = _turns(made[0], pairs[some], np.zeros((len(some), 3)))
+    scans, sides = [each.scan for each in sightings], list[Beams | None](candidates) or [None]
+    seen = _turns(scans, pairs[some], np.zeros((len(some), 3)), sides[0], 1)
     errors = _unexplained(seen, turned(some, coarse))
     best = int(np.argmin(errors))
     others = errors[np.abs(coarse - coarse[best]) > 2.0 * _FINE_S]
@@ -198,11 +197,11 @@ def _of_turns(sightings: Sequence[Sighting], odometry: Odometry, candidates: Seq
     columns = [np.interp(times_s[some] - far_s, known_s, column) for column in poses.T]
     moves = between(*(np.stack([column[:, k] for column in columns], axis=1) for k in (0, 1)))
     found = []
-    for (k, scans), (sign, ahead) in itertools.product(enumerate(made), ((1, 1.0), (-1, 1.0), (1, -1.0))):
-        mirrored = [scan.mirrored() for scan in scans] if sign < 0 else scans
-        seen = _turns(mirrored, pairs[some], moves * (ahead, ahead, 1.0))  # behind: of a laser that looks back
+    for (k, beams), (sign, ahead) in itertools.product(enumerate(sides), ((1, 1.0), (-1, 1.0), (1, -1.0))):
+        # behind: of a laser that looks back
+        seen = _turns(scans, pairs[some], moves * (ahead, ahead, 1.0), beams, sign)
         found.append((k, sign, seen, _unexplained(seen, turns)))
-    yield from _judged(found, turns, lags, candidates, len(own[0].ranges))
+    yield from _judged(found, turns, lags, candidates, len(scans[0].ranges))
 
 
 def _judged(
@@ -230,9 +229,8 @@ def _judged(
 
 def _pairs(sightings: Sequence[Sighting]) -> tuple[NDArray[np.int64], Array]:
     """(P, 2) rows of scans that are compared, and (P, 2) times of the middle of their sweeps, s since the first."""
-    times_s = np.array(
-        [seconds(each.stamp_ns - sightings[0].stamp_ns) + 0.5 * each.scan.times_s.min() for each in sightings]
-    )
+    times_s = seconds(np.array([each.stamp_ns - sightings[0].stamp_ns for each in sightings], dtype=np.float64))
+    times_s -= 0.5 * np.array([abs(float(scan.time_increment)) * (len(scan.ranges) - 1) for _, scan, _ in sightings])
     later = np.searchsorted(times_s, times_s + _APART_S - EXACT_S)
     first = np.flatnonzero(later < len(times_s))
     apart = times_s[later[first]] - times_s[first]
@@ -268,22 +266,24 @@ def _sigma(errors: Array, best: int, variance: float) -> float:
     return math.sqrt(2.0 * variance / bend) if bend > 0.0 and errors[best] == errors.min() else math.inf
 
 
-def _turns(scans: Sequence[Scan], pairs: NDArray[np.int64], motions: Array) -> Array:
+def _turns(scans: Sequence[Scan], pairs: NDArray[np.int64], motions: Array, beams: Beams | None, sign: int) -> Array:
     """(P,) turns between pairs of scans, rad; NaN where they are not seen.
 
-    The earlier one is drawn from where motions (P, 3) of the robot have the laser later.
+    The earlier one is drawn from where motions (P, 3) of the robot have the laser later; both with these beams, or with
+    their own, and with a sign of -1 mirrored.
     """
     mount = scans[0].T_robot_laser.array()
     moves = between(mount, compose(motions, mount))  # of the laser, in its frame before; its turn is looked for
-    places = zip(pairs[:, 0].tolist(), moves.tolist(), strict=True)
-    before = np.array([_view(scans[k], x, y) for k, (x, y, _) in places])
-    after = np.array([_view(scans[k], 0.0, 0.0) for k in pairs[:, 1].tolist()])
+    before = _views([scans[k] for k in pairs[:, 0].tolist()], moves @ (1.0, 1j, 0.0), beams, sign)
+    after = _views([scans[k] for k in pairs[:, 1].tolist()], np.zeros(len(pairs)), beams, sign)
     shifts = np.arange(-_SHIFTS, _SHIFTS + 1)
-    errors = np.full((len(shifts), len(before)), np.inf)
-    for row, shift in enumerate(shifts.tolist()):
-        off = np.minimum(np.abs(np.roll(before, -shift, axis=1) - after), _MOST_M)
-        count = np.isfinite(off).sum(axis=1)
-        errors[row] = np.where(count >= _FEWEST_BINS, np.nansum(off, axis=1) / np.maximum(count, 1), np.inf)
+    errors, around = np.full((len(shifts), len(before)), np.inf), np.hstack([before, before])
+    for row, shift in enumerate((shifts % _BINS).tolist()):
+        off = around[:, shift : shift + _BINS] - after
+        count = _BINS - np.count_nonzero(np.isnan(off), axis=1)
+        capped_m = np.fmin(np.abs(off), np.float32(_MOST_M)).sum(axis=1)  # with the cap where nothing is seen
+        mean_m = (capped_m - _MOST_M * (_BINS - count)) / np.maximum(count, 1)
+        errors[row] = np.where(count >= _FEWEST_BINS, mean_m, np.inf)
     best = np.clip(np.argmin(errors, axis=0), 1, len(shifts) - 2)
     low, here, high = (errors[best + side, np.arange(len(before))] for side in (-1, 0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -293,14 +293,18 @@ def _turns(scans: Sequence[Scan], pairs: NDArray[np.int64], motions: Array) -> A
     return np.where(is_seen, (shifts[best] + part) * (2.0 * np.pi / _BINS), np.nan)
 
 
-def _view(scan: Scan, x: float, y: float) -> NDArray[np.float32]:
-    """(_BINS,) range by bearing, m, as seen from a place in the laser's frame; NaN where nothing is seen nearby."""
-    out = np.full(_BINS, np.nan, dtype=np.float32)
-    ahead, aside = scan.points_laser[scan.is_return & (scan.ranges < _FAR_M)].T - np.array([[x], [y]])
-    ranges, bearings = np.hypot(ahead, aside), np.arctan2(aside, ahead)
-    order = np.argsort(-ranges)  # the nearest of a bin is written last
-    out[np.floor(bearings[order] * (_BINS / (2.0 * np.pi))).astype(np.int64) % _BINS] = ranges[order]
-    return out
+def _views(scans: Sequence[Scan], places: NDArray[Any], beams: Beams | None, sign: int) -> NDArray[np.float32]:
+    """(P, _BINS) range by bearing, m, of scans as seen from places x + iy of their frames; NaN where none is near."""
+    rows = np.repeat(np.arange(len(scans)), [len(scan.ranges) for scan in scans])
+    ranges = np.concatenate([scan.ranges for scan in scans])
+    bearings = [beams.first + beams.step * np.arange(len(s.ranges)) if beams else s.bearings for s in scans]
+    is_near = np.concatenate([scan.is_return for scan in scans]) & (ranges < _FAR_M)
+    turned = np.exp((1j * sign * np.concatenate(bearings)[is_near]).astype(np.complex64))
+    rows, points = rows[is_near], ranges[is_near] * turned - places.astype(np.complex64)[rows[is_near]]
+    bins = np.floor(np.angle(points) * (_BINS / (2.0 * np.pi))).astype(np.int64) % _BINS
+    out = np.full(len(scans) * _BINS, np.inf, dtype=np.float32)
+    np.minimum.at(out, rows * _BINS + bins, np.abs(points))
+    return np.where(np.isfinite(out), out, np.float32(np.nan)).reshape(-1, _BINS)
 
 
 class Mount(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -40,6 +41,7 @@ class Beams(NamedTuple):
     """between two beams, rad"""
 
 
+@functools.cache
 def beams_by_count(count: int) -> tuple[Beams, ...]:
     """The beams that a FLASER line may have, which states only their number; the first is a scanner of 180 degrees.
 

@@ -153,9 +153,9 @@ def joined(sightings: Sequence[Sighting], odometry: Odometry | None) -> list[Tic
     poses = _going_on(poses[last], np.flatnonzero(is_known & is_alone))
     stamps_ns = ascending(stamps_ns[order] - min(stamps_ns.min(), 0))
     ticks = []
-    for ns, pose, k, alone in zip(stamps_ns.tolist(), poses, numbers.tolist(), is_alone.tolist(), strict=True):
+    for ns, pose, k, alone in zip(stamps_ns.tolist(), poses.tolist(), numbers.tolist(), is_alone.tolist(), strict=True):
         scan, own_s = (sightings[k].scan, sightings[k].own_s) if k >= 0 else (None, None)
-        ticks.append(Tick(ns, Pose.from_array(pose), scan, log_stamp_s=own_s, is_unmeasured=alone))
+        ticks.append(Tick(ns, Pose(*pose), scan, log_stamp_s=own_s, is_unmeasured=alone))
     return ticks
 
 

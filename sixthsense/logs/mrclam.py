@@ -10,7 +10,7 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import LandmarkId, Observation, polar_observation
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick, seconds
@@ -87,12 +87,6 @@ def _ticks(drive: Table, seen: dict[int, dict[LandmarkId, Observation]], truth: 
         speed, turn_rate = rates.get(stamp, (speed, turn_rate))
         ticks.append(Tick(stamp, pose, observations=seen.get(stamp, {}), truth=true))
     return ticks
-
-
-def true_landmarks(folder: Path) -> dict[LandmarkId, Array]:
-    """True positions (2,) of the landmarks, world frame, metres. For evaluation only."""
-    table = _read(folder, "Landmark_Groundtruth.dat", "subject x y sigma-x sigma-y").numbers
-    return {int(subject): place for subject, place in zip(table[:, 0], table[:, 1:3], strict=True)}
 
 
 def _read(folder: Path, name: str, columns: str) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,12 @@ from sixthsense.simulation.scene import Scene, load_scene
 
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
 """note of a log, and line of a live run"""
+_USED = {
+    "carmen": "`laser.beams`, `laser.fov`, `laser.max_range`, `laser.mount`, `laser.mirrored`, `laser.sweep_s`",
+    "bag": "`topics`, `odometry_frames`, `laser.max_range`, `laser.mount`, `laser.mirrored`",
+    "run": "`laser.mount`", "graph": "no option of a laser", "mrclam": "`robot`",
+}  # fmt: skip
+"""options that choose from a log or describe its laser, by the kind of log that has a use for them"""
 
 
 class LogSelection(NamedTuple):
@@ -74,12 +80,21 @@ def base_of(log: str | Path | None) -> str | Config:
     return {"graph": "victoria", "mrclam": "mrclam"}.get(kind, "log")
 
 
-def check_options(fields: Mapping[str, Any]) -> None:
-    """Raise InputError for given fields (nested) of the recorded robot; those that a log has no use for are ignored."""
+def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Iterable[str] = ()) -> None:
+    """Raise InputError for given fields (nested) of the recorded robot, and for those that this log has no use for.
+
+    `chosen` are the names of what is chosen of the log.
+    """
+    names = [*chosen]
     for name, value in fields.items():
         is_of_robot = name == "robot" and isinstance(value, Mapping) and value.keys() - {"radius"}
         if value and (name in OF_THE_ROBOT or is_of_robot):
             raise InputError(name, "found on replay", "options of the estimate, not of the recorded robot")
+        names += [f"laser.{part}" for part in value] if name == "laser" and isinstance(value, Mapping) else []
+    kind = kind_of(Path(log)) if names and log is not None else ""
+    for name in names:
+        if kind and f"`{name}`" not in _USED[kind]:
+            raise InputError(name, f"found on a log of kind {kind}", _USED[kind])
 
 
 def check_out(log: str | Path, out: Path | None) -> None:

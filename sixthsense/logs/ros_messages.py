@@ -164,14 +164,6 @@ def planar(message: Any) -> Pose:
     return Pose(x, y, math.atan2(2.0 * (w * c + a * b), w * w + a * a - b * b - c * c))
 
 
-def ranges_of(message: Any) -> NDArray[np.float32]:
-    """(N,) ranges, m, of a LaserScan, or the first echoes of a MultiEchoLaserScan; infinite without an echo."""
-    rows: Any = message.ranges
-    if len(rows) and hasattr(rows[0], "echoes"):
-        rows = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in rows]
-    return np.asarray(rows, dtype=np.float32)
-
-
 def stated_reach(message: Any) -> float | None:
     """The `range_max` of a LaserScan, m; None where it is not that of a laser: zero, infinite, or no number."""
     reach = float(np.float32(message.range_max))
@@ -181,11 +173,15 @@ def stated_reach(message: Any) -> float | None:
 def scan(message: Any, T_robot_laser: Pose, max_range: float | None = None) -> Scan:
     """The scan of a LaserScan message; ranges below range_min, and at range_max or beyond, are no returns.
 
+    Of a MultiEchoLaserScan it has the first echoes.
     `max_range` replaces `range_max`, which a message has in float32 only, and may have too large or not at all. The
     beams of a clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
     `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
-    ranges, (first, step) = ranges_of(message), _beams(message)
+    (first, step), rows = _beams(message), message.ranges
+    if hasattr(rows[0], "echoes"):
+        rows = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in rows]
+    ranges: NDArray[np.float32] = np.asarray(rows, dtype=np.float32)
     stated = stated_reach(message) or max_range
     if stated is None:
         raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")

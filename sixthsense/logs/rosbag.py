@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,6 +34,8 @@ _SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG": ".bag", b"SQLite format 3\x0
 _WHOLE = "a whole ROS 1 .bag, ROS 2 folder or file; `mcap recover` or `rosbag reindex` makes one of a file that is cut"
 _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 28, 20
 """bytes that all chunks may have together; scans rarely compress to a tenth"""
+_MCAP_END = b"\x0f\x04" + bytes(11) + b"\x02\x14" + bytes(27) + b"\x89MCAP0\r\n"
+"""records DataEnd and Footer of a file without an index, and what each file ends with"""
 _SINCE_1970_NS = 10**17
 """Stamps of a clock that shows the time are larger: one of 0 among them is not set."""
 
@@ -55,8 +58,8 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
-    """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file).
+def _opened(path: Path, found: list[Finding]) -> Iterator[AnyReader]:
+    """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file); an MCAP file that is cut is found.
 
     Whatever is wrong within the block is an InputError: a damaged bag can raise any exception, and may define a type
     with a known name but without the expected fields.
@@ -65,38 +68,47 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        files = bag_files(path) if path.is_dir() else [path]
-        for file in files:
-            if (kind := suffix_of(file)) not in ("", file.suffix):
-                raise InputError(file, "found a bag of another name", f"one that ends in {kind}")
-            if kind == ".mcap":
-                _check_chunks(file)
-        named = [path] if (path / "metadata.yaml").is_file() else files or [path]
-        with AnyReader(named, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            yield reader
+        with TemporaryDirectory() as folder:
+            files = bag_files(path) if path.is_dir() else [path]
+            for k, file in enumerate(files):
+                if (kind := suffix_of(file)) not in ("", file.suffix):
+                    raise InputError(file, "found a bag of another name", f"one that ends in {kind}")
+                if kind == ".mcap" and (end := _whole_until(file)) is not None:
+                    files[k] = Path(folder, file.name)
+                    files[k].write_bytes(file.read_bytes()[:end] + _MCAP_END)
+                    found.append(Finding("cut_short", place=f"{file.name} is cut short: its whole chunks are read"))
+            named = [path] if (path / "metadata.yaml").is_file() and not found else files or [path]
+            with AnyReader(named, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+                yield reader
     except InputError:
         raise
     except Exception as error:
         raise InputError(path, f"cannot be read as a bag ({reason_of(error)})", _WHOLE) from None
 
 
-def _check_chunks(file: Path) -> None:
-    """Raise an exception, by the headers of the records, for chunks that are far larger than the file, or for a cut."""
-    from mcap.records import Chunk
+def _whole_until(file: Path) -> int | None:
+    """Where the last whole chunk of an MCAP file ends that is cut short; None for a whole file.
+
+    Raises ValueError, by the headers of the records, for chunks that are far larger than the file.
+    """
+    from mcap.records import Chunk, Message
     from mcap.stream_reader import StreamReader
 
+    end: int | None = 0
     left = _BASE_BUDGET + _BUDGET_PER_BYTE * file.stat().st_size
-    with file.open("rb") as stream:
+    with file.open("rb") as stream, suppress(Exception):  # whatever an incomplete record leads to
         for record in StreamReader(stream, emit_chunks=True, record_size_limit=_BASE_BUDGET).records:
             left -= record.uncompressed_size if isinstance(record, Chunk) else 0
-            if left < 0:
-                raise ValueError("found chunks that hold far more than the file")
+            end = stream.tell() if isinstance(record, (Chunk, Message)) else end
+        end = None
+    if left < 0:
+        raise ValueError("found chunks that hold far more than the file")
+    return end
 
 
 def _topics_of(reader: AnyReader) -> dict[str, str]:
-    """The type of each topic that has messages; of all where no index counts them."""
-    types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
-    return types or {c.topic: c.msgtype for c in reader.connections}
+    """The type of each topic that has messages."""
+    return {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
 
 
 class PoseTopic(NamedTuple):
@@ -121,8 +133,9 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclud
     option = "`topic`" if with_covariance else "`truth_topic`"
     rows: list[list[float]] = []
     covs, stamps = [], []
-    with _opened(path) as reader:
-        name = _only_topic(path, _topics_of(reader), kinds, option, [topic] if topic else [], exclude)
+    with _opened(path, []) as reader:
+        types = {name: kind for name, kind in _topics_of(reader).items() if topic or name not in exclude}
+        name = _only_topic(path, types, kinds, option, [topic] if topic else [])
         for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
             message: Any = reader.deserialize(raw, connection.msgtype)
             try:
@@ -135,20 +148,13 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, exclud
     return PoseTopic(name, np.array(stamps, dtype=np.int64), np.array(rows, dtype=np.float64).reshape(-1, 7), found)
 
 
-def _only_topic(
-    path: Path,
-    types: Mapping[str, str],
-    kinds: Sequence[str],
-    option: str,
-    named: Sequence[str],
-    exclude: Collection[str] = (),
-) -> str:
-    """The topic of these types that is named, or the only one but for those to `exclude`.
+def _only_topic(path: Path, types: Mapping[str, str], kinds: Sequence[str], option: str, named: Sequence[str]) -> str:
+    """The topic of these kinds that is named, or the only one.
 
     Raises InputError with the candidates for none or several.
     """
     every = sorted(topic for topic, kind in types.items() if kind in kinds)
-    fitting = [topic for topic in every if (topic in named if named else topic not in exclude)]
+    fitting = [topic for topic in every if not named or topic in named]
     if len(fitting) == 1:
         return fitting[0]
     short = {kind: kind.rpartition("/")[2] for kind in (*kinds, *types.values())}
@@ -205,7 +211,7 @@ def read_bag(
     named = ros.FramePair(*map(ros.frame_name, frames)) if len(frames) == 2 else None
     if frames and named is None:
         raise InputError("odometry_frames", f"found {','.join(frames)!r}", "PARENT,CHILD, such as odom,base_link")
-    with _opened(path) as reader:
+    with _opened(path, recording.found) as reader:
         of_odometry = _read(path, reader, recording, topics, odometry and not frames)
     counts = Counter(each.frame for each in recording.scans)
     frame = max(counts, key=lambda name: (counts[name], name))
@@ -259,9 +265,8 @@ def _read(path: Path, reader: AnyReader, recording: _Recording, topics: Sequence
                 scan, frame = ros.scan(message, Pose(), limit), ros.frame_name(message.header.frame_id)
                 recording.scans.append(_Stamped(*stamps, scan, frame, message))
             else:
-                recording.odometry.append(
-                    _Stamped(*stamps, ros.planar(message), ros.frame_name(message.child_frame_id))
-                )
+                pose, child = ros.planar(message), ros.frame_name(message.child_frame_id)
+                recording.odometry.append(_Stamped(*stamps, pose, child))
         except Exception as error:  # damaged bytes raise whatever they lead to
             recording.refused[topic].append(reason_of(error))
     for topic, has in ((of_scans, recording.scans), (of_odometry, recording.odometry)):

@@ -55,9 +55,8 @@ class Record:
             values = np.array(fields, dtype=np.float64)
         except ValueError:
             values = np.array([self._number(field) for field in fields])
-        bad = np.flatnonzero(~(np.abs(values) <= largest)) if largest is not None else np.zeros(0, np.int64)
-        if len(bad):
-            self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {largest:.0e}")
+        if largest is not None and not (is_fine := np.abs(values) <= largest).all():
+            self.fail(f"found {shown(fields[int(np.argmin(is_fine))])}, allowed: a finite number up to {largest:.0e}")
         return values
 
     def _number(self, field: bytes) -> float:
@@ -82,8 +81,7 @@ class Record:
 
 def shown(field: bytes) -> str:
     """A field for an error message."""
-    text = field.decode("ascii", "backslashreplace")
-    return repr(text if len(text) <= 24 else text[:24] + "...")
+    return repr(field[:24].decode("ascii", "backslashreplace")) + "..." * (len(field) > 24)
 
 
 class Table(NamedTuple):
@@ -141,8 +139,7 @@ def lines(path: Path) -> Iterator[tuple[int, bytes]]:
             raise InputError(path, "is a pipe or a device", "a file")
         with path.open("rb") as raw:
             left = _BASE_BUDGET + _BUDGET_PER_BYTE * path.stat().st_size
-            begin = raw.peek(6)
-            stream = next((opener(raw) for magic, opener in _OPENERS.items() if begin.startswith(magic)), raw)
+            stream = next((opener(raw) for magic, opener in _OPENERS.items() if raw.peek(6).startswith(magic)), raw)
             while line := stream.readline(LONGEST_LINE):
                 number, left = number + 1, left - len(line)
                 if left < 0 or len(line) == LONGEST_LINE:

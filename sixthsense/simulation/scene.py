@@ -163,15 +163,13 @@ def walking_grid(scene: Scene) -> tuple[SceneGrid, Bools]:
     return grid, grid.clearance_m >= BODY_M
 
 
-def _stated(name: str, stated: SceneFile) -> Scene:
+def _stated(name: str, file: SceneFile) -> Scene:
     """The scene of a `.toml` file."""
-    walls, glass = (np.array(rows, dtype=np.float64).reshape(-1, 2, 2) for rows in (stated.segments(), stated.glass))
+    walls, glass = (np.array(rows, dtype=np.float64).reshape(-1, 2, 2) for rows in (file.segments(), file.glass))
     if not len(walls):
         raise InputError("walls", "found none", "at least one wall or polygon")
-    region, start = ordered(stated.region or _bounds(walls)), Pose(*in_radians(stated.start))
-    scene = Scene(
-        name, walls, start, stated.radius, stated.goal, stated.tour, region, glass=glass, walkers=stated.walkers
-    )
+    region, start = ordered(file.region or _bounds(walls)), Pose(*in_radians(file.start))
+    scene = Scene(name, walls, start, file.radius, file.goal, file.tour, region, glass=glass, walkers=file.walkers)
     places = {"start": (start.x, start.y), **named_goals(scene.goal, scene.tour)}
     check_places(scene, places, scene.radius, region)
     if scene.walkers:

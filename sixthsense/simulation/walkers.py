@@ -107,10 +107,8 @@ class Walkers:
         forward = np.stack([np.cos(self.headings), np.sin(self.headings)], axis=1)
         hips = _HALF_HIPS_M * np.stack([-forward[:, 1], forward[:, 0]], axis=1)
         phase = (self._walked_m / (2.0 * _HALF_STEP_M) % 2.0)[:, None]
-        swing, rate = (
-            2.0 * np.abs(phase - 1.0) - 1.0,
-            np.where(phase < 1.0, -1.0, 1.0),
-        )  # of the left leg; swing -1 to 1
+        # Of the left leg; the swing is -1 to 1.
+        swing, rate = 2.0 * np.abs(phase - 1.0) - 1.0, np.where(phase < 1.0, -1.0, 1.0)
         rows = []
         for side in (1.0, -1.0):
             at = self.at + side * (hips + _HALF_STEP_M * swing * forward)

@@ -41,48 +41,37 @@ def robot_bag(
     `scan` and `odom` change what scan or pose number `k` says, a dictionary, or leave the message out by None. `links`
     are constant transforms, static or of /tf. The scans' clock is `late_s` ahead of the others.
     """
-
-    def put_scan(k, record_ns):
-        says = {"first": -2.0, "step": math.radians(1.2), "count": 240, "low": 0.05, "high": 9.0, "frame": "laser",
-                "stamp_ns": record_ns + round(late_s * 1e9), "topic": "/scan", "ranges": None, "unit": 1.0,
-                "lag": 0.0, "last": None}  # fmt: skip
-        says = scan(k, says)
-        if says is None:
-            return
-        bearings = says["first"] + says["step"] * np.arange(says["count"])
-        ranges = cast_rays(way(0.1 * k) @ MOUNT, bearings, WALLS, 100.0) if says["ranges"] is None else says["ranges"]
-        ranges = np.asarray(ranges)[:: -1 if says.get("is_mirrored") else 1]
-        unit, turn = says["unit"], says.get("angle_unit", 1.0)
-        bag.scan(
-            says["stamp_ns"], unit * ranges, says["topic"], first=turn * says["first"],
-            step=turn * says["step"], low=unit * says["low"], high=unit * says["high"], frame=says["frame"], echo=echo,
-            record_ns=record_ns, lag=says["lag"], last=says["last"],
-        )  # fmt: skip
-
-    def put_odom(k, record_ns):
-        says = {"pose": way(0.02 * k), "child": "base_footprint", "stamp_ns": record_ns, "turn": None, "unit": 1.0}
-        says = odom(k, says)
-        if says is None:
-            return
-        pose = says["pose"]
-        if odom_in_tf:
-            bag.transform("odom", "base_footprint", pose, stamp_ns=says["stamp_ns"])
-            return
-        pose = Pose(says["unit"] * pose.x, says["unit"] * pose.y, pose.theta)
-        bag.odometry(says["stamp_ns"], pose, "/odom", turn=says["turn"], child=says["child"], record_ns=record_ns)
-
     with Bag(path, kind) as bag:
-        for where, *link in links:
-            if where == "static":
-                bag.transform(*link, record_ns=T0_NS)
+        for _, *link in (link for link in links if link[0] == "static"):
+            bag.transform(*link, record_ns=T0_NS)
         for k in range(int(50 * seconds)):
-            record_ns = T0_NS + 20_000_000 * k
-            put_odom(k, record_ns)
-            if k % 5 == 0:
-                for where, *link in links:
-                    if where == "tf":
-                        bag.transform(*link, stamp_ns=record_ns)
-                put_scan(k // 5, record_ns)
+            now = T0_NS + k * 20_000_000
+            says = odom(
+                k, {"pose": way(0.02 * k), "child": "base_footprint", "stamp_ns": now, "turn": None, "unit": 1.0}
+            )
+            if says is not None and odom_in_tf:
+                bag.transform("odom", "base_footprint", says["pose"], stamp_ns=says["stamp_ns"])
+            elif says is not None:
+                pose, unit = says["pose"], says.pop("unit")
+                says["pose"] = Pose(unit * pose.x, unit * pose.y, pose.theta)
+                bag.odometry(**says, record_ns=now)
+            if k % 5:
+                continue
+            for _, *link in (link for link in links if link[0] == "tf"):
+                bag.transform(*link, stamp_ns=now)
+            says = {"first": -2.0, "step": math.radians(1.2), "count": 240, "low": 0.05, "high": 9.0, "frame": "laser",
+                    "stamp_ns": now + round(late_s * 1e9), "topic": "/scan", "ranges": None, "unit": 1.0, "lag": 0.0,
+                    "last": None, "is_mirrored": False, "angle_unit": 1.0}  # fmt: skip
+            says = scan(k // 5, says)
+            if says is not None:
+                count, unit, turn, is_mirrored = map(says.pop, ("count", "unit", "angle_unit", "is_mirrored"))
+                if says["ranges"] is None:
+                    bearings = says["first"] + says["step"] * np.arange(count)
+                    says["ranges"] = cast_rays(way(0.02 * k) @ MOUNT, bearings, WALLS, 100.0)
+                says["ranges"] = unit * np.asarray(says["ranges"])[:: -1 if is_mirrored else 1]
+                says |= {"first": turn * says["first"], "step": turn * says["step"]}
+                says |= {"low": unit * says["low"], "high": unit * says["high"]}
+                bag.scan(**says, echo=echo, record_ns=now)
     return bag.path
 
 
@@ -98,9 +87,8 @@ def off_walls_m(ticks: Iterable[Tick], ahead_s: float = 0.0) -> float:
     worst = 0.0
     for tick in ticks:
         if tick.scan is not None:
-            points = (
-                way(1e-9 * (tick.stamp_ns - T0_NS) - ahead_s) @ tick.scan.points_robot[np.isfinite(tick.scan.ranges)]
-            )
+            true = way(1e-9 * (tick.stamp_ns - T0_NS) - ahead_s)
+            points = true @ tick.scan.points_robot[np.isfinite(tick.scan.ranges)]
             worst = max(worst, float(_distances(points).max(initial=0.0)))
     return worst
 

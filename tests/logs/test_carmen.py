@@ -23,7 +23,7 @@ from sixthsense.logs.log import Log
 
 LASER = LaserConfig(beams=4, fov=math.pi, max_range=50.0)
 HEADER = "# message_name [message contents] ipc_timestamp\nPARAM robot_frontlaser_offset 0.0 nohost 0\n"
-PLACE, CENTRE = Pose(4.0, 5.0, 0.6), Pose()
+PLACE, CENTRE, ASIDE = Pose(4.0, 5.0, 0.6), Pose(), Pose(0.17, -0.06, 0.35)
 ROOM = np.array([[[-3, -2], [4, -2]], [[4, -2], [4, 3]], [[4, 3], [-3, 3]], [[-3, 3], [-3, -2]]], dtype=np.float64)
 
 
@@ -36,7 +36,10 @@ def odom(stamp: float = 1.0, x: float = 0.0) -> str:
 
 
 def flaser(
-    stamp: float = 1.0, ranges: Sequence[float] = (1.0, 2.0, 3.0, 81.83), robot: Pose = PLACE, mount: Pose = CENTRE
+    stamp: float | str = 1.0,
+    ranges: Sequence[float] = (1.0, 2.0, 3.0, 81.83),
+    robot: Pose = PLACE,
+    mount: Pose = CENTRE,
 ) -> str:
     poses = f"{pose_text(robot @ mount)} {pose_text(robot)}"
     return f"FLASER {len(ranges)} {' '.join(f'{r:.2f}' for r in ranges)} {poses} {stamp} nohost {stamp}\n"
@@ -58,16 +61,13 @@ def path_of(count: int) -> list[Pose]:
 
 def test_a_log_has_one_tick_per_odometry_or_laser_line_in_the_order_of_the_file(tmp_path: Path) -> None:
     skipped = ["\n", "RLASER 1 2.0\n", "NMEA-GGA x\n"]
-    lines = [HEADER, odom(1, x=1), "SYNC start\n", flaser(2, robot=Pose(4.0)), *skipped, odom(3, x=7)]
+    seen = flaser(2, (math.nan, -1.0, 3.0, -math.inf), Pose(4.0))
+    lines = [HEADER, odom(1, x=1), "SYNC start\n", seen, *skipped, odom(3, x=7)]
     log = read(tmp_path, "".join(lines), LASER)
     assert [tick.odometry.x for tick in log.ticks] == [1.0, 4.0, 7.0]
     assert [tick.scan is not None for tick in log.ticks] == [False, True, False]
-    assert log.start == log.ticks[0].odometry and log.duration_s == pytest.approx(2.0)
-
-
-def test_ranges_that_are_negative_or_no_number_are_no_returns(tmp_path: Path) -> None:
-    log = read(tmp_path, flaser(ranges=(math.nan, -1.0, 3.0, -math.inf)) + flaser(2.0), LASER)
     assert log.scans[0].ranges.tolist() == [math.inf, math.inf, 3.0, math.inf]
+    assert log.start == log.ticks[0].odometry and log.duration_s == pytest.approx(2.0)
 
 
 def test_a_damaged_line_costs_itself_and_is_counted(tmp_path: Path) -> None:
@@ -143,3 +143,35 @@ def test_the_value_that_beams_without_a_return_repeat_is_found(max_range: float,
         ranges = cast_rays(Pose(0.02 * k, 0.0, 0.05 * k), np.linspace(-1.57, 1.57, 181), far, max_range)
         scans.append(np.where(np.isfinite(ranges), ranges.round(2), code).astype(np.float32))
     assert 0.996 * code <= max_range_of(scans) <= code
+
+
+@pytest.mark.parametrize(("stamp", "said"), [
+    (lambda t: f"{1134860123 + t:.3f}", ""), (lambda t: f"{1134860123 + t:g}", "stamps"),
+    (lambda t: f"{1134863123 + 100 * t:g}", "stamps"), (lambda t: "0", "stamps"), (lambda t: f"{t - 5:.3f}", ""),
+])  # fmt: skip
+def test_stamps_that_tell_no_time_leave_odometry_as_it_is(stamp, said: str, tmp_path: Path) -> None:
+    lines = [flaser(stamp(2.0 * k), robot=Pose(1.2 * k, 1.5, 0.2)) for k in range(24)]
+    log, _, found = settled(read(tmp_path, "".join(lines)), preset("log"))
+    assert [tick.odometry.x for tick in log.ticks] == pytest.approx(1.2 * np.arange(24))
+    assert (np.diff([tick.stamp_ns for tick in log.ticks]) > 0).all() and log.ticks[0].stamp_ns >= 0
+    assert {each.kind for each in found} == {"assumed_beams", said} - {""}
+
+
+def test_each_robotlaser_line_has_its_own_beams(tmp_path: Path) -> None:
+    def line(k: int) -> str:
+        off = (0, 1, 3, 2)[k % 4]
+        count, start, robot = 181 - (off > 0), math.radians(-90 + 0.25 * off), Pose(0.1 * k, 0.2, 0.3)
+        ranges = " ".join(f"{2.0 + 0.01 * i:.2f}" for i in range(count))
+        angles = f"{start:.6f} {math.radians(count - 1):.6f} {math.radians(1):.6f}"
+        poses = f"{pose_text(robot @ ASIDE)} {pose_text(robot)}"
+        return f"ROBOTLASER1 0 {angles} 81.9 0.01 0 {count} {ranges} 0 {poses} 0 0 0 0 0 {k} h {k}\n"
+
+    log = read(tmp_path, "".join(map(line, range(24))))
+    assert [len(scan.ranges) for scan in log.scans[:4]] == [181, 180, 180, 180]
+    first_deg = np.degrees([scan.bearings[7] for scan in log.scans[:4]])
+    assert first_deg == pytest.approx([-83, -82.75, -82.25, -82.5], abs=1e-3)
+    assert log.scans[3].max_range == 81.9 and log.ticks[3].log_stamp_s == 3.0
+    assert log.scans[3].T_robot_laser.array() == pytest.approx(ASIDE.array(), abs=2e-6)
+    assert log.ticks[7].odometry.array() == pytest.approx([0.7, 0.2, 0.3])
+    with pytest.raises(InputError, match="found angles of -90 to 90, which are degrees"):
+        read(tmp_path, line(0).replace("-1.570796 3.141593 0.017453", "-90 180 1"))

@@ -14,7 +14,6 @@ from sixthsense.core.se2 import between, compose
 from sixthsense.logs import open_log
 from sixthsense.logs.diagnose import beside_wheels, findings_of, hand_eye, settled
 from sixthsense.logs.finding import KINDS, Finding
-from sixthsense.logs.log import read_relations
 
 
 def every(key, value):
@@ -76,23 +75,6 @@ def test_odometry_along_whose_headings_no_robot_drives_is_named(name, tmp_path):
             settled(log, preset("log"))
 
 
-@pytest.mark.parametrize("late_s", [0.3, -0.24])
-def test_a_delay_that_is_applied_is_a_value_of_the_configuration_which_a_second_replay_takes_without_a_note(
-    late_s, tmp_path
-):
-    bag = robot_bag(tmp_path / "bag", late_s=late_s, seconds=12.0)
-    log, config, found = settled(open_log(bag), preset("log"))
-    (clocks,) = found
-    assert clocks.kind == "clocks" and clocks.value == pytest.approx(late_s, abs=4.0 * clocks.sigma + 0.02)
-    assert str(clocks).endswith(f"(`time_offset` {config.time_offset:.4g})") and config.time_offset == pytest.approx(
-        clocks.value, abs=5e-4
-    )
-    again, same, found = settled(open_log(bag), config)
-    assert not found and same.time_offset == config.time_offset
-    assert [tick.stamp_ns for tick in again.ticks] == [tick.stamp_ns for tick in log.ticks]
-    assert [tick.odometry for tick in again.ticks] == [tick.odometry for tick in log.ticks]
-
-
 @pytest.mark.parametrize(("begin_ns", "restart"), [(0, False), (T0_NS, True)])
 def test_a_clock_that_begins_with_0_keeps_its_stamps_and_one_that_begins_anew_is_told(begin_ns, restart, tmp_path):
     def stamped(k, says):
@@ -150,20 +132,6 @@ def test_every_kind_has_a_line_and_the_option_that_sets_it():
         if action == "applied":
             section, _, name = option.rpartition(".")
             assert hasattr(getattr(config, section) if section else config, name)
-
-
-@pytest.mark.parametrize(("name", "content", "said"), [
-    ("a.clf", b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n", "git lfs pull"),
-    ("a.db3.zstd", b"\x28\xb5\x2f\xfd", "zstd -d"),
-    ("a.relations", b"1,5 2,5 0,1 0,2 0,0 0,0 0,0 0,3\n", "decimal commas"),
-    ("a.clf", b"FLASER 2 1,5 2,5 0.1 0.2 0.3 0.1 0.2 0.3 7.5 h 7.5\n", "decimal comma"),
-    ("a.g2o", b"EDGE_SE2 8646911284551352320 8646911284551352321 1 0 0 1 0 0 1 0 1\n", "a symbol of GTSAM"),
-])  # fmt: skip
-def test_a_file_of_another_kind_is_named_in_a_line_with_what_to_do(name, content, said, tmp_path):
-    file = tmp_path / name
-    file.write_bytes(content)
-    with pytest.raises(InputError, match=said):
-        read_relations(file) if name.endswith("relations") else open_log(file)
 
 
 def test_a_vertex_that_is_fixed_is_no_error_and_text_that_is_far_larger_than_its_file_is_one(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
-"""What a replay takes: its base, its options, its laser and its relations."""
+"""What a replay takes: its base, its options, its laser, its relations and their stamps."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.logs.log import Log, Relations
+from sixthsense.logs.log import Log, Odometry, Relations, ascending, matched, passed_s
 from sixthsense.logs.replay_input import (
     LogSelection,
     base_of,
@@ -20,6 +21,7 @@ from sixthsense.logs.replay_input import (
     open_recorded,
     recorded_scene,
 )
+from sixthsense.logs.text_lines import unit_of
 
 S = 1_000_000_000
 
@@ -49,16 +51,22 @@ def test_the_base_of_a_replay_is_that_of_the_kind_of_its_log(logs) -> None:
     assert base_of(None) == "log" and base_of(logs["run"]).seed == 7
 
 
-@pytest.mark.parametrize(("fields", "refused"), [
-    ({"robot": {"speed": 0.3}}, "robot"), ({"world": {"walkers": 3}}, "world"), ({"task": "tour"}, "task"),
-    ({"robot": {"radius": 0.3}, "laser": {"mount": (0.2, 0.3, 0.4)}, "preset": "log"}, None),
+@pytest.mark.parametrize(("kind", "fields", "chosen", "refused"), [
+    ("bag", {"robot": {"speed": 0.3}}, {}, "robot: found on replay"),
+    (None, {"task": "tour"}, {}, "task: found on replay"),
+    ("graph", {"world": {"walkers": 3}}, {}, "world: found on replay"),
+    ("bag", {"laser": {"fov": 3.0}}, {}, "laser.fov: found on a log of kind bag, allowed: `topics`"),
+    ("graph", {"laser": {"mount": (0.2, 0.3, 0.4)}}, {}, "laser.mount: found on a log of kind graph"),
+    ("carmen", {}, {"topics": ("/scan",)}, "topics: found on a log of kind carmen"),
+    ("bag", {}, {"robot": 3}, "robot: found on a log of kind bag"),
+    ("mrclam", {"robot": {"radius": 0.3}}, {"robot": 3}, ""), ("bag", {}, {"odometry_frames": ("odom", "base")}, ""),
+    ("carmen", {"robot": {"radius": 0.3}, "laser": {"mount": (0.2, 0.3, 0.4), "fov": 3.0}, "preset": "log"}, {}, ""),
 ])  # fmt: skip
-def test_an_option_of_the_recorded_robot_is_refused(fields, refused) -> None:
-    if refused is None:
-        check_options(fields)
-        return
-    with pytest.raises(InputError, match=f"^{refused}: found on replay"):
-        check_options(fields)
+def test_an_option_of_the_recorded_robot_or_without_a_use_for_the_log_is_refused(
+    logs, kind, fields, chosen, refused
+) -> None:
+    with pytest.raises(InputError, match=f"^{refused}") if refused else nullcontext():
+        check_options(logs.get(kind), fields, LogSelection(**chosen).given())
 
 
 def test_a_replay_does_not_write_over_its_own_log(tmp_path: Path) -> None:
@@ -111,3 +119,33 @@ def test_relations_that_name_stamps_of_no_scan_are_left_out_and_counted(logs, tm
         InputError, match=r"relations: found no relation between scans of the log \(the first is of 1.5"
     ):
         open_recorded(logs["carmen"], base, none)
+
+
+def test_a_stamp_matches_the_nearest_one_within_half_a_period():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        stamps = 1.7e9 + np.cumsum(rng.uniform(0.1, 0.4, 30))[rng.permutation(30)]
+        wanted = 1.7e9 + rng.uniform(-1.0, 9.0, (40, 2))
+        found, half = matched(stamps, wanted), 0.5 * np.median(np.diff(np.sort(stamps)))
+        for row, at in zip(found.ravel(), wanted.ravel(), strict=True):
+            off = np.abs(stamps - at)
+            assert row == (np.argmin(off) if off.min() <= half else -1)
+    assert matched([3.0, 1.0, 3.0], [3.2, 1.0, 4.5]).tolist() == [0, 1, -1]
+    assert matched([5.0], [5.0, 5.1]).tolist() == [0, -1] and matched([], [1.0]).tolist() == [-1]
+
+
+def test_stamps_ascend_are_spread_where_they_are_shared_and_are_of_the_unit_that_makes_them_recent():
+    assert ascending([7, 9, 3, 4, 30]).tolist() == [7, 9, 10, 11, 30]
+    for stamps_s, expected in (
+        ([1.0, 1.3, 1.7], [0.3, 0.4]), ([1.0, 1.0, 1.6, 2.0], [0.3, 0.3, 0.4]),
+        ([1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 1.0]), ([7.0, 7.0, 7.0], [np.inf, np.inf]),
+    ):  # fmt: skip
+        assert passed_s(np.round(1e9 * np.array(stamps_s)).astype(np.int64)) == pytest.approx(expected)
+    for stamp, name in ((1.7e9, "seconds"), (3.0, "seconds"), (1.7e12, "milliseconds"), (1.7e18, "nanoseconds")):
+        assert unit_of(np.array([stamp, 1.01 * stamp]))[1] == name
+
+
+def test_without_a_time_no_motion_is_a_jump_and_with_one_it_is():
+    poses = np.array([[1.3 * k, 0.2, 0.1 * k] for k in range(9)])
+    assert not len(Odometry(np.arange(70, 79), poses).jumps())
+    assert len(Odometry(20_000_000 * np.arange(9), poses).jumps()) == 8

@@ -1,5 +1,6 @@
 """Files written by hand and read: general poses, frames, covariances, stamps to the nanosecond, maps with an origin."""
 
+import importlib.util
 import math
 import os
 import tempfile
@@ -15,13 +16,12 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+import sixthsense as ss
 from sixthsense.config import AssumedConfig, LaserConfig, merge
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.logs import open_log
 from sixthsense.logs.log import read_relations
-from sixthsense.logs.mrclam import true_landmarks
-from sixthsense.logs.ros_messages import spatial_covariance
 from sixthsense.logs.rosbag import read_poses
 from sixthsense.logs.text_lines import read_covariances, read_trajectory
 from sixthsense.record.exports import write_map
@@ -87,7 +87,11 @@ def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_fra
     plate = matrix(0.3, -0.4, 0.5, turned(0.7, tilted))
     level = matrix(mount.x, mount.y, 0.6, turned(mount.theta, (0.0, math.pi if is_upside_down else 0.0)))
     stamps, way = (BEGAN + np.cumsum(steps)).tolist(), chain(start, step, len(steps))
-    sweep_ns, first, ranges = 10_000_000, -0.7, np.array([2.5, 9.5, 0.05, 3.5, 0.9], np.float32)
+    sweep_ns, first, ranges = (
+        10_000_000,
+        -0.7,
+        np.array([2.5, 8.0, 0.05, 3.5, 0.9], np.float32),
+    )  # the limits are 0.1 and 8
     with Bag(Path(tempfile.mkdtemp()) / "x", kind) as bag:
         for parent, child, T in (("base_footprint", "plate", plate), ("plate", "laser", np.linalg.inv(plate) @ level)):
             turn = tuple(Rotation.from_matrix(T[:3, :3]).as_quat())
@@ -119,14 +123,6 @@ def test_a_bag_gives_the_odometry_at_each_sweeps_end_and_the_mount_of_tilted_fra
     assert log.laser.mount == pytest.approx(tuple(mount.array()))
     given_mount = open_log(bag.path, LaserConfig(mount=(0.3, 0.4, -0.5)))
     assert given_mount.scans[0].T_robot_laser == Pose(0.3, 0.4, -0.5)
-
-
-@some
-@given(covariances)
-def test_a_planar_covariance_stands_at_x_y_and_yaw_of_six_and_comes_back(cov):
-    plane = np.ix_((0, 1, 5), (0, 1, 5))
-    found = spatial_covariance(cov)
-    assert np.array_equal(found[plane], cov) and np.count_nonzero(found) == np.count_nonzero(cov)
 
 
 @few
@@ -196,11 +192,16 @@ def test_a_graph_gives_the_product_of_its_edges_and_their_covariances(steps, cov
     )
     bearing, distance = math.atan2(place.y, place.x), math.hypot(place.x, place.y)
     text += line("BR", 4, 77, bearing, distance, 0.02, 0.3)
+    for name, matrix_of in (("LANDMARK", cov[:2, :2]), ("EDGE_SE2_XY", np.linalg.inv(cov[:2, :2]))):
+        upper = [repr(float(matrix_of[ij])) for ij in ((0, 0), (0, 1), (1, 1))]
+        text += line(name, 4, 78 + (name != "LANDMARK"), place.x, place.y, *upper)
     ticks, pose = open_log(written("a.g2o", text)).ticks, Pose()
     for tick, step in zip(ticks[1:], steps, strict=True):
         pose = pose @ step
         close(tick.odometry, pose, 1e-8)
         assert tick.increment_cov == pytest.approx(cov, rel=1e-6, abs=1e-6)
+    for seen in (ticks[1].observations[78], ticks[1].observations[79]):
+        assert np.array_equal(seen.z, place.position) and seen.cov == pytest.approx(cov[:2, :2], rel=1e-6)
     b, r, polar = ticks[1].observations[77].bearing_range()
     assert (b, r) == (pytest.approx(bearing, abs=2e-3), pytest.approx(distance, rel=2e-3))
     assert np.diag(polar) == pytest.approx([0.02**2, 0.3**2], rel=0.05)
@@ -217,7 +218,6 @@ def test_a_mrclam_folder_gives_the_way_the_truth_and_landmarks_by_depth_bearing_
         "1001.1", start.x + 0.4, start.y - 0.7, wrap_angle(theta[1])
     )
     (folder / "Robot3_Groundtruth.dat").write_text(truth)
-    (folder / "Landmark_Groundtruth.dat").write_text(line(8, 3.5, -4.5, 0.01, 0.02) + line(9, -2.5, 6.5, 0.03, 0.04))
     seen = [(13, 2.5, 0.3), (25, depth, bearing)]
     (folder / "Robot3_Measurement.dat").write_text("".join(line("1000.600", *row) for row in seen))
     noise = {"laser": {"range_m": 0.2, "bearing_rad": 0.03}, "landmark_floor_m": 0.05}
@@ -239,7 +239,51 @@ def test_a_mrclam_folder_gives_the_way_the_truth_and_landmarks_by_depth_bearing_
     floor = 0.05**2
     expected = [0.03**2 + floor / distance**2, 0.2**2 + floor]
     assert np.diag(polar) == pytest.approx(expected, rel=0.03)
-    assert {k: place.tolist() for k, place in true_landmarks(folder).items()} == {8: [3.5, -4.5], 9: [-2.5, 6.5]}
+
+
+def test_victoria_park_has_its_published_size():
+    spec = importlib.util.find_spec("gtsam")
+    log = open_log(Path(spec.origin).parent / "Data" / "victoria_park.txt")
+    ids = [i for tick in log.ticks for i in tick.observations]
+    assert (len(log.ticks), len(ids), len(set(ids))) == (6969, 3640, 151)
+
+
+def test_edges_to_earlier_poses_are_loop_closures_either_way_and_stay_in_the_run_folder(tmp_path):
+    """A round of 12 poses whose odometry is turned too far; closures with the first poses, one of them reversed."""
+    step, wrong = Pose(0.8, 0.1, 2.0 * math.pi / 12), Pose(0.8, 0.1, 2.0 * math.pi / 12 + 0.02)
+    true = [Pose()]
+    for _ in range(12):
+        true.append(true[-1] @ step)
+    lines, upper = [], "2e3 3e2 0 4e3 0 9e3"
+    for k in range(12):
+        lines.append(f"EDGE_SE2 {k} {k + 1} {' '.join(map(repr, wrong.array().tolist()))} 1e3 0 0 1e3 0 1e3\n")
+    for i, j in ((11, 1), (0, 12), (12, 2)):
+        seen = " ".join(map(repr, (true[i].inverse() @ true[j]).array().tolist()))
+        lines.append(f"EDGE_SE2 {i} {j} {seen} {upper}\n")
+    file = written("round.g2o", "".join(lines))
+    log = open_log(file)
+    assert [len(tick.closures) for tick in log.ticks] == [0] * 11 + [1, 2]
+    one, other = log.ticks[11].closures[0], log.ticks[12].closures[0]
+    assert one.before == 1 and one.motion.array() == pytest.approx((true[1].inverse() @ true[11]).array())
+    assert other.before == 0
+    run = ss.replay(file, progress=False, out=tmp_path / "out", estimator="isam2")
+    off = [np.hypot(*(pose[:2] - at.position)) for pose, at in zip(run.trace.trajectory, true, strict=True)]
+    alone = [np.hypot(*(tick.odometry.position - at.position)) for tick, at in zip(log.ticks, true, strict=True)]
+    assert max(alone) > 0.3 and max(off) < 0.1 * max(alone)
+    again = ss.replay(tmp_path / "out", progress=False)
+    assert again.trace.trajectory == pytest.approx(run.trace.trajectory, abs=1e-12)
+
+
+def test_the_covariance_of_a_reversed_edge_is_that_of_its_samples():
+    """Draws of the edge's error, in the axes of its end, as errors of the motion the other way in those of its end."""
+    rng, cov = np.random.default_rng(4), np.array([[4.0, 1.0, 0.3], [1.0, 2.0, -0.4], [0.3, -0.4, 1.0]]) * 1e-4
+    step, upper = Pose(1.7, -0.6, 0.8), " ".join(map(repr, np.linalg.inv(cov)[np.triu_indices(3)].tolist()))
+    text = "".join("ODOMETRY {} {} 1 0.1 0.2 1e-4 0 0 1e-4 0 1e-4\n".format(*ends) for ends in ((0, 1), (1, 2)))
+    text += f"EDGE_SE2 2 0 {' '.join(map(repr, step.array().tolist()))} {upper}\n"
+    closure = open_log(written("back.g2o", text)).ticks[2].closures[0]
+    draws = rng.multivariate_normal(np.zeros(3), cov, 20000)
+    back = np.array([(step @ (step @ Pose(*draw)).inverse()).array() for draw in draws])  # beyond the motion back
+    assert np.abs(closure.cov - np.cov(back.T)).max() < 0.05 * np.abs(closure.cov).max()
 
 
 # --- maps

@@ -60,15 +60,10 @@ def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("old", "new", "said"), [
     ("start = [2.3, 3.4, 0.7]", "start = [2.3, 4.4, 0.7]", "start: found (2.3, 4.4), outside the region"),
     ("goal = [4.5, 3.9]", "goal = [5.35, 3.9]", "goal: found (5.35, 3.9), 0.15 m from a wall"),
-    ("region = [1.6, 2.8, 5.4, 4.3]", "region = [1.6, 4.3, 5.4, 2.8]", "region: found [1.6, 4.3, 5.4, 2.8]"),
-    ("radius = 0.2", "radius = 0", "radius: found 0, allowed: above 0 to 1e+06"),
-    ("radius = 0.2", "", "radius: Field required"),
     ("radius = 0.2", "radius = 0.2\nraduis = 0.2", "raduis: no such field, did you mean radius?"),
     ("0.7]", "90]", "start: found the heading 90, allowed: radians"),
-    ("[1.5, 2.5, 5.5, 2.5]", "[1.5, 2e6, 5.5, 2.5]", "walls, entry 1, entry 2: Input should be less than"),
     ("[1.5, 2.5, 5.5, 2.5]", "[1.5, 2.5, 1.5, 2.5]", "walls: found one of no length at (1.5, 2.5)"),
     (ROOM, "", "walls: found none, allowed: at least one wall or polygon"),
-    ("[[4.5, 3.6], ", "[[4.5, true], ", "tour, entry 1, entry 2: found True, allowed: a finite number"),
     (ROOM, ROOM + "glass = [[2, 0, 2]]\n", "glass, entry 1, entry 4: Field required"),
     (ROOM, ROOM + "glass = [[3.2, 3.8, 5.2, 3.8]]\n", "goal: found (4.5, 3.9), 0.1 m from a wall"),
     (ROOM, ROOM + "[[polygons]]\npoints = [[1.5, 2e6]]\n", "polygons, entry 1, points: found 2000000.0"),
@@ -180,10 +175,8 @@ def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(
 @pytest.mark.parametrize(("given", "said"), [
     ({"task": "explore", "goal": (3.5, 3.2)}, "goal: found with `task` explore"),
     ({"task": "goal", "tour": ((3.5, 3.2),)}, "tour: found with `task` goal"),
-    ({"task": "goal", "start": (2.3, 3.4, 90.0)}, "start: found the heading 90, allowed: radians"),
     ({"start": (1.7, 3.4, 0.3)}, "start: found (1.7, 3.4), 0.2 m from a wall, allowed: more than the robot's"),
     ({"task": "goal", "robot": {"radius": 0.7}}, "goal: found (4.5, 3.9), 0.6 m from a wall"),
-    ({"task": "goal", "region": (1.6, 2.8, 4.4, 4.3)}, "goal: found (4.5, 3.9), outside the region"),
     ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
 ])  # fmt: skip
 def test_a_mission_that_cannot_be_is_refused_by_its_field(tmp_path: Path, given: dict, said: str) -> None:

@@ -49,27 +49,20 @@ def expected_ranges(truths: Array, bearings: Array, max_range: float = 5.2) -> A
 BEARINGS = -2.05 + 4.1 / 96 * np.arange(97)
 
 
-def test_a_scan_is_taken_by_a_laser_mounted_aside_and_turned_and_sees_to_its_range():
-    ticks = driven(world(preset("noiseless", laser=LASER)), (0.4, 0.6), (-0.3, 0.5), (0.5, -0.9), ticks=20)
-    scans = [tick for tick in ticks if tick.scan is not None]
-    assert len(scans) == 13 and scans[-1].truth.theta != scans[0].truth.theta
-    for tick in scans:
-        expected = expected_ranges(np.tile(tick.truth.array(), (97, 1)), BEARINGS)
-        assert 5 < np.isinf(expected).sum() < 90
-        np.testing.assert_allclose(tick.scan.ranges, expected, atol=2e-5)
-        assert tick.scan.T_robot_laser == Pose(*MOUNT)
-
-
-def test_each_beam_of_a_sweep_is_taken_where_the_robot_was_at_its_time():
-    config = preset("noiseless", laser={**LASER, "sweep_s": 0.07, "max_range": 30.0})
-    ticks = driven(world(config), (0.5, 0.9), ticks=40)
-    for k in range(5, 41, 5):
-        times = ticks[k].scan.times_s
-        assert times == pytest.approx(0.07 * (np.arange(97) - 96) / 97)
+@pytest.mark.parametrize(("sweep_s", "max_range"), [(0.0, 5.2), (0.07, 30.0)])
+def test_each_beam_of_a_laser_aside_and_turned_is_taken_where_the_robot_was_at_its_time(sweep_s, max_range):
+    config = preset("noiseless", laser={**LASER, "sweep_s": sweep_s, "max_range": max_range})
+    ticks = driven(world(config), (0.4, 0.6), (-0.3, 0.5), (0.5, -0.9), ticks=20)
+    scans = [k for k, tick in enumerate(ticks) if tick.scan is not None]
+    assert len(scans) == 13 and ticks[-1].truth.theta != ticks[0].truth.theta
+    for k in scans[1:]:
+        times, found = ticks[k].scan.times_s, ticks[k].scan.ranges
+        assert times == pytest.approx(sweep_s * (np.arange(97) - 96) / 97)
         stamps = np.array([1e-9 * (tick.stamp_ns - ticks[k].stamp_ns) for tick in ticks[: k + 1]])
         truths = np.array([tick.truth.array() for tick in ticks[: k + 1]])
         at = np.column_stack([np.interp(times, stamps, np.unwrap(column)) for column in truths.T])
-        np.testing.assert_allclose(ticks[k].scan.ranges, expected_ranges(at, BEARINGS, 30.0), atol=3e-5)
+        np.testing.assert_allclose(found, expected_ranges(at, BEARINGS, max_range), atol=3e-5)
+        assert ticks[k].scan.T_robot_laser == Pose(*MOUNT) and (5 < np.isinf(found).sum() < 90) == (max_range == 5.2)
 
 
 @pytest.mark.parametrize("distribution", ["gaussian", "uniform"])

@@ -57,6 +57,9 @@ def test_a_mount_that_is_stated_wrongly_is_told_with_where_the_laser_is() -> Non
     assert verdict is not None and verdict.level != "good" and verdict.cause == "mount"
     told = re.search(r"([+-][\d.]+) m to the left", str(verdict))
     assert told is not None and float(told[1]) == pytest.approx(0.31, abs=0.03)
+    named, scan = re.search(r"`laser.mount` (\S+) (\S+) [^)]+\)", str(verdict)), ticks()[0].scan
+    assert named is not None and scan is not None
+    assert np.array(named.groups(), dtype=float) == pytest.approx(scan.T_robot_laser.position, abs=0.03)
 
 
 def test_a_robot_that_was_carried_is_told_with_the_time() -> None:
