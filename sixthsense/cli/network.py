@@ -79,7 +79,7 @@ class Live(OnNetwork, WithPriorMap):
             session.configure(self.drive)
             source = {"scan": topics.scan, "odom": topics.odom}
 
-            def run(on_tick: OnTick, out: Path, overwrite: bool) -> Run:
+            def run(on_tick: "OnTick", out: Path, overwrite: bool) -> "Run":
                 with reserved(out, session.config, overwrite, source, prior) as folder:
                     return run_live(session, self.drive, folder, RunHooks(on_tick), prior)
 

@@ -86,6 +86,8 @@ def test_ctrl_c_keeps_the_rows_and_exits_with_130(nearby, capsys, monkeypatch):
             assert run_command(*words) == cli.INTERRUPTED
     finally:
         signal.signal(signal.SIGINT, before)
-    assert "interrupted, 1 of 4 runs are in c/, the same command makes the missing ones" in capsys.readouterr().err
-    assert len(ss.load_campaign("c")) == 1
+    made = len(ss.load_campaign("c"))
+    assert 1 <= made <= 2  # one that ended in the other worker meanwhile is kept, too
+    said = f"interrupted, {made} of 4 runs are in c/, the same command makes the missing ones"
+    assert said in capsys.readouterr().err
     assert run_command(*words) == cli.DONE
