@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sixthsense.config import LaserConfig
-from sixthsense.core.covariance import covariance_fault
+from sixthsense.core.covariance import COVARIANCE_SLACK, check_covariance, covariance_fault
 from sixthsense.core.geometry import Pose, interpolated, rotation, wrap_angle
 from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import Kind, Observation, line_point, observed_centre, polar_observation
@@ -97,3 +97,24 @@ def test_beams_have_their_times_before_the_latest_and_their_points_in_the_frame_
                 for r, b in zip(scan.ranges, (-1.0, -0.5, 0.0, 0.5, 1.0), strict=True)]  # fmt: skip
     assert scan.points_robot == pytest.approx(np.array(expected))
     assert scan.times_s == pytest.approx(np.array([-0.08, -0.06, -0.04, -0.02, 0.0]), abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["right", "indefinite", "asymmetric", "not finite"])
+def test_a_covariance_is_allowed_by_its_pivots_as_by_its_eigenvalues(kind):
+    rng = np.random.default_rng(7)
+    for _ in range(100):
+        root = rng.normal(size=(3, 3))
+        cov = root @ root.T
+        cov = 0.5 * (cov + cov.T)
+        if kind == "indefinite":
+            cov -= rng.uniform(1.01, 1.5) * np.linalg.eigvalsh(cov)[0] * np.eye(3)
+        elif kind == "asymmetric":
+            cov[tuple(rng.permutation(3)[:2])] += 1e-6 * cov.max()
+        elif kind == "not finite":
+            cov[tuple(rng.integers(3, size=2))] = rng.choice([np.nan, np.inf, -np.inf])
+        assert (covariance_fault(cov, lowest=-COVARIANCE_SLACK) == "") == (kind == "right")
+        if kind == "right":
+            np.testing.assert_array_equal(check_covariance("odometry", cov), cov)
+        else:
+            with pytest.raises(ValueError, match=r"^odometry: found "):
+                check_covariance("odometry", cov)
