@@ -71,8 +71,7 @@ def handled(*numbers: int) -> Iterator[Signals]:
 
     In a block within, and in another thread than the main one, nothing changes.
     """
-    is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or signal.getsignal(signal.SIGINT) == _signals.handle:
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == _signals.handle:
         yield _signals
         return
 

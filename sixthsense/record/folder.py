@@ -41,15 +41,19 @@ class RunFolder:
         self.out = out
         self.partial = out.with_name(out.name + ".partial")
         self._overwrite = overwrite
+        self.record = RecordWriter(self.partial / FILE)
+        """a hook for the loop's `on_tick`"""
         try:
             self._check_out()
             self._lock = self._reserved()
-            with whole(self.partial / "config.toml") as file:
-                save_config(config, file, replayed, prior_map)
+            try:
+                with whole(self.partial / "config.toml") as file:
+                    save_config(config, file, replayed, prior_map)
+            except BaseException as error:  # a signal's too, which comes before the block of the folder
+                self.__exit__(type(error), error, None)
+                raise
         except OSError as error:
             raise InputError("out", f"{self.partial} cannot be written ({error.strerror})", "a new folder") from None
-        self.record = RecordWriter(self.partial / FILE)
-        """a hook for the loop's `on_tick`"""
 
     def __enter__(self) -> RunFolder:
         return self
@@ -65,13 +69,13 @@ class RunFolder:
                 error.add_note(f"the record so far is in {self.partial}")
             self._lock.release()
 
-    def _check_out(self) -> None:
-        """Raise InputError unless `out` is new, or is a run that may be replaced."""
+    def _check_out(self, else_kept: str = "") -> None:
+        """Raise InputError unless `out` is new, or is a run that may be replaced; it ends with `else_kept`."""
         if not os.path.lexists(self.out):
             return
         if not self._overwrite and not self.out.is_symlink():
-            raise InputError("out", f"{self.out} exists", "a new folder, or `overwrite`")
-        _check_is_run(self.out)
+            raise InputError("out", f"{self.out} exists", f"a new folder, or `overwrite`{else_kept}")
+        _check_is_run(self.out, else_kept)
 
     def _reserved(self) -> FolderLock:
         """The lock on a new `OUT.partial`; what a run that did not finish has recorded there is moved away."""
@@ -106,10 +110,7 @@ class RunFolder:
         Files of the old one that no run writes are kept in `OUT`, which is logged. Raises InputError if `OUT` has
         meanwhile become something that may not be replaced; the new run then stays in `OUT.partial`.
         """
-        try:
-            self._check_out()
-        except InputError as error:
-            raise InputError(error.where, error.found, f"{error.allowed}; the run is in {self.partial}") from None
+        self._check_out(f"; the run is in {self.partial}")
         kept, old = list[str](), self._numbered()
         if os.path.lexists(self.out):
             self.out.rename(old)
@@ -129,9 +130,10 @@ def _is_just_made(folder: Path) -> bool:
     return not folder.is_symlink() and folder.is_dir() and all(file.name.startswith(".") for file in folder.iterdir())
 
 
-def _check_is_run(folder: Path) -> None:
+def _check_is_run(folder: Path, else_kept: str = "") -> None:
     if reason := reason_not_a_run(folder):
-        raise InputError("out", f"{folder} is not a run folder, it {reason}", "a new folder, or a run folder")
+        found = f"{folder} is not a run folder, it {reason}"
+        raise InputError("out", found, f"a new folder, or a run folder{else_kept}")
 
 
 def reason_not_a_run(folder: Path) -> str:
@@ -150,5 +152,4 @@ def reason_not_a_run(folder: Path) -> str:
 
 def has_record(folder: Path) -> bool:
     """Whether a tick of a run has been recorded in the folder."""
-    file = folder / FILE
-    return file.is_file() and file.stat().st_size > 0
+    return (folder / FILE).is_file() and (folder / FILE).stat().st_size > 0

@@ -31,13 +31,17 @@ def test_ctrl_c_ends_a_run_with_its_record_and_130(here):
     assert outcome(here / "x") == "interrupted" and [path.name for path in here.iterdir()] == ["x"]
 
 
-def test_a_signal_before_the_first_tick_leaves_nothing(here):
-    process = start(*ENDLESS)
-    wait_until((here / "x.partial" / "config.toml").exists)
-    process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 143 and "Traceback" not in err
-    assert list(here.iterdir()) == [] or outcome(here / "x") == "interrupted"
+@pytest.mark.parametrize("step", ["sixthsense.record.folder.save_config", "sixthsense.running.warmup.prepare"])
+def test_a_signal_before_the_first_tick_leaves_nothing(here, step):
+    module, name = step.rsplit(".", 1)
+    program = (
+        f"import os, signal, {module} as module; real = module.{name}\n"
+        f"module.{name} = lambda *words: (real(*words), os.kill(os.getpid(), signal.SIGTERM))"
+    )
+    process = start(*ENDLESS, program=program)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 143 and err == "sixthsense: interrupted\n"
+    assert list(here.iterdir()) == []
 
 
 def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(here):
