@@ -87,7 +87,7 @@ def run(
         return simulate(config, task, folder, RunHooks(on_tick, progress), prior)
 
 
-def replay(
+def replay(  # noqa: PLR0913
     log: str | Path | Log,
     config: Config | None = None,
     relations: str | Path | Relations | None = None,

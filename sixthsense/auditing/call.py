@@ -30,7 +30,7 @@ class _Compared:
     notes: tuple[str, ...]
 
 
-def audit(
+def audit(  # noqa: PLR0913
     estimate: Source | list[Source],
     truth: Source | list[Source] | None = None,
     *,

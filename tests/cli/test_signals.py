@@ -57,6 +57,7 @@ def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(here):
     assert len(ss.load(folder).trace.estimates) > 0
 
 
+@pytest.mark.slow
 def test_a_terminated_campaign_keeps_its_rows(here):
     pytest.importorskip("pandas")
     words = ("campaign", "rectangle", "--seeds", "0:50", "--task", "tour", "--max-time", "2", "--workers", "1")

@@ -36,6 +36,13 @@ def test_rays_agree_with_a_plain_reference():
         assert np.allclose(found[np.isfinite(found)], expected[np.isfinite(found)], atol=1e-9, rtol=0)
 
 
+def test_the_first_number_that_is_not_finite_is_named_with_its_place():
+    walls = np.arange(12.0).reshape(3, 2, 2)
+    walls[2, 0, 1] = walls[2, 1, 0] = np.nan
+    with pytest.raises(ValueError, match=r"walls: expected finite numbers, got nan at \[2, 0, 1\]"):
+        cast_rays(Pose(), np.array([0.3]), walls, 2.0)
+
+
 def test_no_ray_leaks_through_the_joint_of_two_walls():
     rng = np.random.default_rng(1)
     for _ in range(200):

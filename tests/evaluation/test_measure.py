@@ -9,12 +9,13 @@ import pytest
 from made_run import CARRIED, CORNERS, FIRST_KEY, SCANS, UNDEFINED, made_run, matrix
 
 from sixthsense.config import merge
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.consistency import consistency
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import curves, scan_covariances
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.measured_run import MeasuredRun
+from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, check_folders
 from sixthsense.logs.log import Relations
 from sixthsense.record.trace import Trace
 
@@ -220,3 +221,12 @@ def test_a_trajectory_has_a_row_per_keyframe():
     own, at_keys = curves(TRACE).to_records(), [TRACE.stamps_ns.index(stamp) for stamp in TRACE.key_stamps_ns]
     of_keys = [values[at_keys] for values in (own.time_s, own.distance_m, own.nees)]
     np.testing.assert_allclose(frame[["time_s", "distance_m", "nees"]].T, of_keys, rtol=1e-12)
+
+
+def test_one_folder_to_as_many_as_a_figure_has_room_for_are_read_together(tmp_path):
+    (tmp_path / "config.toml").write_text("")
+    check_folders([tmp_path])
+    check_folders([tmp_path] * MAX_RUNS)
+    for count in (0, MAX_RUNS + 1):
+        with pytest.raises(InputError, match=f"found {count}, allowed: 1 to {MAX_RUNS}"):
+            check_folders([tmp_path] * count)

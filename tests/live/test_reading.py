@@ -126,7 +126,7 @@ READS = {
 def test_damaged_bytes_are_a_value_error(name):
     whole, reader = READS[name]
     rng, read = np.random.default_rng(7), reader()
-    for _ in range(250):
+    for _ in range(100):
         data = bytearray(whole[: rng.integers(0, len(whole) + 1)] if rng.random() < 0.5 else whole)
         for _ in range(rng.integers(0, 6) if data else 0):
             data[rng.integers(0, min(len(data), 120))] = rng.integers(0, 256)

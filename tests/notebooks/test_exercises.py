@@ -1,7 +1,10 @@
 """The exercises of the notebooks: right answers pass, wrong ones are refused with the hint that they call for."""
 
 import ast
+import copy
+import functools
 import json
+import pickle
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -13,7 +16,7 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from course import check, reference
+from course import check, checking, reference
 from course.checking import CHECKED, EXERCISES, FOLDED, examine
 from course.exercise import CASES, Exercise, wrong_answers
 
@@ -72,13 +75,29 @@ def played(exercise: Exercise, wrong: Callable[[int], list[Any]]) -> Callable[..
     return lambda *given: next(results) if len(exercise.results) > 1 else next(results)[0]
 
 
-def test_wrong_answers_are_refused_with_what_explains_them() -> None:
+def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, which computes a result once."""
+    known: dict[bytes, Any] = {}
+
+    @functools.wraps(function)
+    def again(*given: Any) -> Any:
+        key = pickle.dumps(given)
+        if key not in known:
+            known[key] = function(*given)
+        return copy.deepcopy(known[key])
+
+    return again
+
+
+def test_wrong_answers_are_refused_with_what_explains_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the exercises with their own hint, unless a pattern of the results explains them."""
+    right = {name: remembered(reference(name)) for name in EXERCISES if reference(name)}
+    monkeypatch.setattr(checking, "reference", right.get)
     count, by_pattern = 0, 0
     for name, exercise in EXERCISES.items():
         if not isinstance(exercise, Exercise):
             continue
-        for hint, wrong in wrong_answers(exercise, reference(name), lambda *given: None):
+        for hint, wrong in wrong_answers(exercise, right[name], lambda *given: None):
             try:
                 with np.errstate(all="ignore"):
                     fault = examine(name, played(exercise, wrong))

@@ -70,7 +70,7 @@ def search(poses, walls=ROOMS, prior=MAP, own=None, min_score=0.62):
 
 
 def test_in_one_of_two_equal_rooms_nothing_is_certain():
-    assert search(along((13, 2), (14, 3), (11.5, 3), (12, 1), (14.5, 2.5), (13, 2), (11.5, 3))) is None
+    assert search(along((13, 2), (14, 3), (11.5, 3), (12, 1), (14.5, 2.5))) is None
 
 
 @pytest.mark.parametrize("room", [pytest.param(0.0, marks=pytest.mark.slow), 10.0])
@@ -85,7 +85,7 @@ def test_once_the_corridor_tells_the_rooms_apart_the_place_is_found(room):
 
 def test_in_another_building_nothing_is_found():
     other = np.concatenate([outline((0, 0), (9, -2), (12, 6), (3, 9)), box(4, 3, 1.5, 1.5)])
-    assert search(along((1.5, 1.5), (6, 1), (9, 3), (6.5, 6), (3.5, 6), (2, 2)), other) is None
+    assert search(along((1.5, 1.5), (6, 1), (9, 3), (6.5, 6)), other) is None
 
 
 class Numbers:

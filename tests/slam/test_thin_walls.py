@@ -17,7 +17,7 @@ from sixthsense.slam.association.associator import Associator
 
 NOISE = np.diag([0.003, 0.0045]) ** 2
 MOTION = np.diag([0.004, 0.004, 0.002]) ** 2
-SEEDS = 16
+SEEDS = 10
 
 
 def drive(seed, thick_m):

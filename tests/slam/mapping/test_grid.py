@@ -1,3 +1,4 @@
+import itertools
 import math
 from dataclasses import replace
 
@@ -207,6 +208,18 @@ def test_a_line_is_free_exactly_when_dense_samples_of_it_are(seed: int) -> None:
         inside = (rows >= 0) & (rows < 12) & (cols >= 0) & (cols < 15)
         assert space.line_is_free(a, b) == (not space.blocked[rows[inside], cols[inside]].any())
         assert space.line_is_free(a, b) == space.line_is_free(b, a)
+
+
+def test_the_cost_of_a_path_is_the_integral_over_the_cells_that_it_crosses() -> None:
+    rng = np.random.default_rng(3)
+    cost = rng.uniform(1.0, 9.0, (12, 15)).astype(np.float32)
+    space = FreeSpace(np.zeros(cost.shape, bool), np.ones(cost.shape, bool), (-0.7, 0.3), 0.1, cost)
+    path, expected = rng.uniform((-0.65, 0.35), (0.75, 1.45), (4, 2)), 0.0
+    for a, b in itertools.pairwise(path):
+        samples = a + (np.arange(20_000)[:, None] + 0.5) / 20_000 * (b - a)
+        cols, rows = np.floor((samples - space.origin) / space.cell_m).astype(int).T
+        expected += math.dist(a, b) * cost[rows, cols].mean()
+    assert space.path_cost(path) == pytest.approx(expected, rel=0.05)  # middles of pieces of half a cell
 
 
 @pytest.mark.parametrize("seed", range(20))

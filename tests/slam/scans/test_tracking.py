@@ -60,6 +60,12 @@ def test_fewer_returns_on_lines_than_usual_are_evidence_against_a_pose():
     assert fewer.lines == alike.lines and fewer.log_odds < alike.log_odds - 2.0
 
 
+def test_the_newest_scan_has_a_fiftieth_of_what_is_usual():
+    found = tracked(scan_at(TRUE), TRUE)
+    expected = 0.98 * np.array(USUAL) + 0.02 * np.array([found.contradicted, found.lines])
+    np.testing.assert_allclose(found.usual(USUAL), expected)
+
+
 def test_a_tracked_pose_is_as_certain_as_the_wheels_and_the_scan_together():
     views, prior = views_and_prior(scan_at(TRUE), TRUE, (0.02, 0.05, 0.03))
     found = track(views, prior, TRUE.array()[None], USUAL, False)
