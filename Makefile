@@ -2,22 +2,24 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+RELEASE := build/release
 
-.PHONY: run test test-all interop coverage notebooks check mutants kernels bench evidence guard pictures pictures-check docs clean
+.PHONY: run test test-all interop coverage notebooks check mutants kernels bench evidence guard pictures pictures-check docs release-check clean
 .DEFAULT_GOAL := run
 
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Python compiles what it imports; compiled by pip, all modules take 150 MB more.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
 $(VENV)/package: pyproject.toml
 	@echo "make: creating $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
-	@echo "make: installing the package and what a run needs, about 800 MB; pip says nothing for some minutes"
+	@echo "make: installing the package and what a run needs, about 700 MB; pip says nothing for some minutes"
 	@$(PIP) --editable .
 	@touch $@
 
 $(VENV)/installed: $(VENV)/package
-	@echo "make: installing what tests and documentation need besides, about 400 MB; pip says nothing for some minutes"
+	@echo "make: installing what tests and documentation need besides, about 350 MB; pip says nothing for some minutes"
 	@$(PIP) --editable ".[dev,docs]"
 	@touch $@
 
@@ -74,5 +76,17 @@ pictures-check: $(VENV)/installed kernels  ## which of them look otherwise today
 docs: $(VENV)/installed  ## site/index.html; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
+# Away from the checkout, whose package and scenes would else be found.
+release-check:  ## build the wheel, install it in an empty environment, run README's lines of Python and commands there
+	rm -rf $(RELEASE)
+	$(PYTHON) -m venv $(RELEASE)/venv
+	$(RELEASE)/venv/bin/python -m pip wheel --quiet --no-deps --wheel-dir $(RELEASE) .
+	$(RELEASE)/venv/bin/python -m pip install --quiet $(RELEASE)/*.whl
+	sed -n '/^```python$$/,/^```$$/{/^```/!p}' README.md > $(RELEASE)/readme.py
+	cd $(RELEASE) && venv/bin/python readme.py && test -s map.png
+	cd $(RELEASE) && venv/bin/sixthsense run apartment --out runs/first && test -s runs/first/map.png
+	$(RELEASE)/venv/bin/python -m pip install --quiet pytest hypothesis
+	$(RELEASE)/venv/bin/pytest tests/core tests/config
+
 clean:
-	rm -rf $(VENV) runs site
+	rm -rf $(VENV) $(RELEASE) runs site

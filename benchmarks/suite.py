@@ -311,7 +311,7 @@ def scaled(column: Column) -> str:
 
 
 def table_of(kind: str, rows: Mapping[str, Row]) -> str:
-    """The table of a kind: a line per row, one of all runs if that is asked for, what is asked, and where it ran."""
+    """The table of a kind: a line per row, one of all runs if that is asked for, what is asked, and the commits."""
     of, own = KINDS[kind], {case: rows[case.name] for case in CASES if case.kind == kind and case.name in rows}
     if not own:
         return "Not measured."
@@ -329,8 +329,8 @@ def table_of(kind: str, rows: Mapping[str, Row]) -> str:
         cells = ["all", *[""] * (len(of.heads) - 1), count, *([""] if has_outcome else [])]
         lines.append([*cells, *(cell(column, every) for column in columns)])
     asked = [f"{column.title} {scaled(column)}" for column in columns if column.asked]
-    origins = sorted({f"`{row['commit']}` on {row['machine']}" for row in own.values()})
-    notes = [*([f"Asked: {'; '.join(asked)}; bold is not as asked."] if asked else []), f"Code: {'; '.join(origins)}."]
+    commits = ", ".join(sorted({f"`{row['commit']}`" for row in own.values()}))
+    notes = [*([f"Asked: {'; '.join(asked)}; bold is not as asked."] if asked else []), f"Code: {commits}."]
     return "\n\n".join([f"    python benchmarks/suite.py {kind}", markdown(lines, len(of.heads)), " ".join(notes)])
 
 

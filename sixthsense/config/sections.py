@@ -344,8 +344,8 @@ class Config(Section):
     """What proposes old places that the robot may be at again: branch-and-bound, or your own. With front_end
     scan-matching; what is proposed is judged and verified in any case."""
     calibrate_wheels: bool = False
-    """Estimate the wheels' systematic errors with the pose. For filters, with landmarks; their prior is in
-    assumed.wheels."""
+    """Estimate the wheels' systematic errors with the pose. For filters, with landmarks; `core/wheels.py` has the
+    prior."""
     calibrate_sensor: bool = False
     """Estimate the lens of a camera with the pose. For filters, with logs of observations that name their landmark;
     `core/sensor.py` has the prior."""
