@@ -22,6 +22,7 @@ import json
 import math
 import platform
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -412,4 +413,5 @@ def write_pages(rows: Mapping[str, Row]) -> None:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # a time limit's; ends the processes
     sys.exit(main())

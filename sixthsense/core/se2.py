@@ -38,19 +38,19 @@ def triple(row: Array) -> Triple:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _composed(a: Triple, b: Triple) -> Triple:
+def _compose(a: Triple, b: Triple) -> Triple:
     c, s = math.cos(a[2]), math.sin(a[2])
     return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrapped(a[2] + b[2])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _inverted(a: Triple) -> Triple:
+def _inverse(a: Triple) -> Triple:
     c, s = math.cos(a[2]), math.sin(a[2])
     return -c * a[0] - s * a[1], s * a[0] - c * a[1], wrapped(-a[2])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _relative(a: Triple, b: Triple) -> Triple:
+def _between(a: Triple, b: Triple) -> Triple:
     c, s = math.cos(a[2]), math.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     return c * dx + s * dy, c * dy - s * dx, wrapped(b[2] - a[2])
@@ -58,48 +58,48 @@ def _relative(a: Triple, b: Triple) -> Triple:
 
 def compose(a: Poses, b: Poses) -> Poses:
     """`T_a_c` of `T_a_b` and `T_b_c`: triples, or rows (3,) or (N, 3), of which a single one stands for all."""
-    return _by_rows(a, b, False) if isinstance(a, np.ndarray) else _composed(a, b)
+    return _by_rows(a, b, False) if isinstance(a, np.ndarray) else _compose(a, b)
 
 
 def between(a: Poses, b: Poses) -> Poses:
     """`T_a_b` of `T_w_a` and `T_w_b`: triples, or rows (3,) or (N, 3), of which a single one stands for all."""
-    return _by_rows(a, b, True) if isinstance(a, np.ndarray) else _relative(a, b)
+    return _by_rows(a, b, True) if isinstance(a, np.ndarray) else _between(a, b)
 
 
 def inverse(a: Poses) -> Poses:
     """`T_b_a` of `T_a_b`: a triple, or rows (3,) or (N, 3)."""
-    return between(a, np.zeros(3)) if isinstance(a, np.ndarray) else _inverted(a)
+    return between(a, np.zeros(3)) if isinstance(a, np.ndarray) else _inverse(a)
 
 
 # What the three are within kernels, where poses are triples.
-numba.extending.overload(compose)(lambda a, b: lambda a, b: _composed(a, b))
-numba.extending.overload(between)(lambda a, b: lambda a, b: _relative(a, b))
-numba.extending.overload(inverse)(lambda a: lambda a: _inverted(a))
+numba.extending.overload(compose)(lambda a, b: lambda a, b: _compose(a, b))
+numba.extending.overload(between)(lambda a, b: lambda a, b: _between(a, b))
+numba.extending.overload(inverse)(lambda a: lambda a: _inverse(a))
 
 
-def _by_rows(a: Array, b: Array, is_relative: bool) -> Array:
+def _by_rows(a: Array, b: Array, is_between: bool) -> Array:
     # Contiguous, so that there is one compiled form.
     a, b = np.ascontiguousarray(a, dtype=np.float64), np.ascontiguousarray(b, dtype=np.float64)
-    found = _rows(a.reshape(-1, 3), b.reshape(-1, 3), is_relative)
+    found = _rows(a.reshape(-1, 3), b.reshape(-1, 3), is_between)
     return np.asarray(found[0] if a.ndim == b.ndim == 1 else found)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _rows(a: Array, b: Array, is_relative: bool) -> Array:
+def _rows(a: Array, b: Array, is_between: bool) -> Array:
     """(N, 3) composed, or relative, of rows (N, 3); a single row stands for all."""
     n = len(b) if len(a) == 1 else len(a)
     out = np.empty((n, 3))
     for k in range(n):
         i, j = k if len(a) > 1 else 0, k if len(b) > 1 else 0
         first, second = triple(a[i]), triple(b[j])
-        out[k, 0], out[k, 1], out[k, 2] = _relative(first, second) if is_relative else _composed(first, second)
+        out[k, 0], out[k, 1], out[k, 2] = _between(first, second) if is_between else _compose(first, second)
     return out
 
 
 @numba.njit(cache=True, error_model="numpy")
 def conjugate(T_a_b: Triple, motion: Triple) -> Triple:
     """The motion of a frame a to which b is fixed at `T_a_b`, by the motion of b: `T_a_b @ motion @ T_b_a`."""
-    return _composed(_composed(T_a_b, motion), _inverted(T_a_b))
+    return _compose(_compose(T_a_b, motion), _inverse(T_a_b))
 
 
 # Written out: an expression of arrays, or an array that is assigned to a part of another one, takes Numba a second or

@@ -22,7 +22,7 @@ _RANGE_MARGIN_M = 0.2
 
 
 class RolledScan(NamedTuple):
-    """A scan in the laser's frame, rolled so that no first-level partition straddles its seam."""
+    """A scan as the kernels of this room get it: laser's frame, rolled so that no partition straddles its seam."""
 
     points: Array
     """(N, 2) metres; the origin for a beam without a return"""
