@@ -21,6 +21,7 @@ from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.logs import kind_of
 from sixthsense.logs.diagnose import findings_of
+from sixthsense.logs.finding import KINDS
 from sixthsense.logs.log import Odometry, ascending, matched
 from sixthsense.logs.text_lines import read_covariances, read_trajectory, unit_of
 
@@ -58,13 +59,18 @@ class Options(Section):
 
 
 def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:
-    """The poses of an estimate, with covariances in the order translation, rotation."""
+    """The poses of an estimate, with covariances in the order translation, rotation.
+
+    Notes of a run are what its verdict has found of its log, such as where the laser is mounted.
+    """
     if run := _run_of(source):
         name, trace = run
         if not trace.key_estimates:
             raise InputError(name, "found no keyframe", "a run with estimates")
         stamps_ns = np.array(trace.key_stamps_ns, dtype=np.int64)
-        poses = replace(poses_from(name, stamps_ns, *key_poses(trace.key_estimates)), frame="world")
+        causes = trace.verdict.causes if trace.verdict else ()
+        notes = tuple(cause.sentence for cause in causes if cause.name in KINDS)
+        poses = replace(poses_from(name, stamps_ns, *key_poses(trace.key_estimates)), frame="world", notes=notes)
     elif isinstance(source, (str, Path)):
         poses = _estimate_of_file(Path(source), covariance, options.topic)
     else:
@@ -154,7 +160,8 @@ def _run_of(source: Source | None) -> tuple[str, Trace] | None:
 def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
     """Poses from the caller's arrays; InputError names the array, what was expected and what was found."""
     if isinstance(given, (bytes, dict)) or not hasattr(given, "__len__") or len(given) != len(names):
-        raise InputError(what, f"found {_described(given)}", f"a file, a run, or arrays ({', '.join(names)})")
+        there = f"{len(given)} of them" if isinstance(given, (tuple, list)) else type(given).__name__
+        raise InputError(what, f"found {there}", f"a file, a run, or arrays ({', '.join(names)})")
     stamps_ns, notes = _nanoseconds(what, given[0])
     try:
         poses = as_array(f"{what} poses", given[1], ("N", "n", "n") if np.ndim(given[1]) == 3 else ("N", "n"))
@@ -174,10 +181,6 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         if fault.action == "refused" and fault.kind != "odometry_unit":  # which a truth tells better
             raise InputError(f"{what} poses", f"found {fault.text}", "metres and radians")
     return _noted(poses_from(what, stamps_ns, poses, covs), notes)
-
-
-def _described(given: object) -> str:
-    return f"{len(given)} of them" if isinstance(given, (tuple, list)) else type(given).__name__
 
 
 def _nanoseconds(what: str, given: Any) -> tuple[Stamps, list[str]]:

@@ -132,9 +132,10 @@ def _outcome(metrics: Mapping[str, Any]) -> Iterator[str]:
 def _consistency(metrics: Mapping[str, Any]) -> str:
     if NEES in metrics:
         return str(Consistency(metrics[NEES], metrics.get(EFFECTIVE, 1.0)))
+    why = "no covariance of full rank, as of a robot that hardly moves" if "ate_rmse_m" in metrics else "no truth"
     if (nis := metrics.get("nis_mean_per_dof")) is None:
-        return "not measured: no truth"
-    said = f"no truth; NIS {nis:.2f} per degree of freedom, 1 is consistent"
+        return f"not measured: {why}"
+    said = f"{why}; NIS {nis:.2f} per degree of freedom, 1 is consistent"
     if _NIS[0] <= nis <= _NIS[1]:
         return said
     size = "larger" if nis < _NIS[0] else "smaller"

@@ -80,16 +80,23 @@ def known_blocks(
     return blocks, (left, left + width * side * cell_m, bottom, bottom + height * side * cell_m)
 
 
-def draw_grid(ax: Any, trace: Trace, obstacle_shade: float) -> None:
-    """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white."""
+def draw_grid(ax: Any, trace: Trace, obstacle_shade: float) -> Array:
+    """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white.
+
+    Returns places of the obstacles, (N, 2).
+    """
     # Matplotlib takes some 20 bytes for each cell that it is given, 100 where it interpolates colours, and shows
     # no more than there are pixels.
     known = known_blocks(trace, _MOST_BLOCKS)
-    if known is not None:
-        shades = np.array([obstacle_shade, 0.94, 1.0], dtype=np.float32)
-        shade = np.select([known[0] == 100, known[0] == 0], shades[:2], shades[2])
-        style = {"origin": "lower", "interpolation": "nearest", "interpolation_stage": "data", "zorder": 0}
-        ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=known[1], **style)
+    if known is None:
+        return np.zeros((0, 2))
+    cells, (left, right, bottom, top) = known
+    shades = np.array([obstacle_shade, 0.94, 1.0], dtype=np.float32)
+    shade = np.select([cells == 100, cells == 0], shades[:2], shades[2])
+    style = {"origin": "lower", "interpolation": "nearest", "interpolation_stage": "data", "zorder": 0}
+    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=known[1], **style)
+    sides = (right - left) / cells.shape[1], (top - bottom) / cells.shape[0]
+    return np.asarray((left, bottom) + np.argwhere(cells == 100)[:, ::-1] * sides)
 
 
 def draw_segments(ax: Any, segments: Array, **style: Any) -> None:
@@ -166,7 +173,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
     Without walls, as from scan matching, the grid's obstacles are dark, and the path is that of the final poses.
     """
     found = walls_found(trace, trace.trajectory)
-    draw_grid(ax, trace, 0.7 if len(found) else 0.2)
+    obstacles = draw_grid(ax, trace, 0.7 if len(found) else 0.2)
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="true walls", zorder=1)
     # The more scans, the fainter their walls, so that thousands of them do not hide everything else.
@@ -196,7 +203,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
         ax.plot(*estimates[-1, :2], marker="s", label="end", **style)
     _draw_causes(ax, trace)
     label_plane(ax)
-    _frame(ax, [estimates[:, :2], landmarks, *(() if trace.scene is None else trace.scene.walls)])
+    _frame(ax, [estimates[:, :2], landmarks, obstacles, *(() if trace.scene is None else trace.scene.walls)])
 
 
 def _draw_causes(ax: Any, trace: Trace) -> None:

@@ -83,7 +83,7 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None) -> Log:
     if not scans:
         there = ", ".join(f"{n} {name.decode(errors='replace')[:20]}" for name, n in kinds.most_common(5))
         none = f"found no FLASER or ROBOTLASER1 line ({there})"
-        raise InputError(path, (refused or [none])[0], "a log with laser scans")
+        raise InputError(path, refused[0]) if refused else InputError(path, none, "a log with laser scans")
     left_out = {
         "scans of the other of FLASER and ROBOTLASER1 are left out": len(lines) - len(readings),
         f"lines are left out, the first: {''.join(refused[:1])}": len(refused),

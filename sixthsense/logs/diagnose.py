@@ -26,7 +26,7 @@ from sixthsense.logs.laser_geometry import Beams, beams_over, with_beams
 from sixthsense.logs.log import EXACT_S, Log, Odometry, Sighting, passed_s
 
 _MOVED_M = 0.3  # by which a range has changed
-_FASTEST = 20.0  # m/s of a vehicle; a slow robot in centimetres is faster
+_FASTEST, _SLOWEST = 20.0, 0.003  # m/s of what drives; a robot in centimetres is faster, one by ms is slower
 _FEWEST, _LEAST_WAY_M = 10, 1.0  # motions or turns, and way, that say something
 _ALONG, _TURNED_RAD = 0.85, 0.5  # share of the way along a heading; and by which headings differ that say something
 _SIGMAS, _LEAST_S, _SCALE_OFF = 4.0, 0.08, 0.15
@@ -113,6 +113,8 @@ def _of_odometry(odometry: Odometry) -> Iterator[Finding]:
     if np.count_nonzero(way) >= _FEWEST and way.sum() > _LEAST_WAY_M:
         speed = float(way.sum() / max(passed[moves].sum(), 1e-9))
         wrong = Finding("odometry_unit", speed) if speed > _FASTEST else _of_headings(odometry.poses, way)
+        if speed < _SLOWEST and np.median(np.diff(odometry.stamps_ns)) > 1e8:  # not of stamps that are rounded
+            yield Finding("stamps_unit", speed)
     if wrong is not None:
         yield wrong
     elif len(jumps):
@@ -210,7 +212,7 @@ def _judged(
     """What is sure of the likeliest of candidates, signs and delays."""
     candidate, sign, seen, errors = min(found, key=lambda each: float(each[3].min()))
     best = int(np.clip(np.argmin(errors), 1, len(lags) - 2))
-    turning = turns[best, np.isfinite(seen) & (np.abs(turns[best]) > _TURN_RAD)]
+    turning, seen = np.column_stack([turns[best], seen])[np.isfinite(seen) & (np.abs(turns[best]) > _TURN_RAD)].T
     if (count := len(turning)) < _FEWEST:
         return
     least, lag_s = max(float(errors[best]), count * _NOISE_RAD**2), float(lags[best])
@@ -220,6 +222,9 @@ def _judged(
         yield Finding("clocks", lag_s, sigma_s)
     if is_sure and sign < 0:
         yield Finding("turned_around")
+    ratio = float(seen @ turning) / float(turning @ turning)
+    if not is_sure and _squares(seen - ratio * turning) < (1.0 - _EXPLAINED) * _squares(seen):
+        yield Finding("turns_scaled", ratio)
     others = [each[3].min() for each in found if each[0] != candidate]
     if candidates and is_sure and all(_likelier(least, other, count) for other in others):
         by = ", by the turns that odometry and scans see"

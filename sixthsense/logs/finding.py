@@ -24,6 +24,7 @@ KINDS = {
     "field_of_view": Kind("applied", "the turns fit a field of view of {degrees:.1f}°", "laser.fov"),
     "frozen_odometry": Kind("applied", "the odometry never changes, but the scans do", "no_odometry"),
     "turned_around": Kind("said", "scans turn against the odometry: is one of both inverted?", "laser.mirrored"),
+    "turns_scaled": Kind("said", "scans turn {value:.2f} times as much as odometry: is the angle between beams wrong?"),
     # of odometry
     "jump": Kind("said", "odometry jumps {place}, at most by {value:.1f} m: it goes on from where it was"),
     "gap": Kind("said", "no odometry by its stamps {place}: {value:.0f} scans are predicted by the last velocity"),
@@ -33,13 +34,14 @@ KINDS = {
     # of the laser
     "ranges_unit": Kind("refused", "ranges with a median of {value:.5g}, which are mm or cm"),
     "no_return": Kind("refused", "no return in {value:.0f} scans: are their ranges in mm?"),
-    "sweep": Kind("said", "time_increment makes a sweep of {value:.3g} s, {place}: is its unit wrong? Left out"),
+    "sweep": Kind("said", "time_increment makes a sweep of {value:.3g} s, {place}: is its unit wrong?"),
     "angle_increment": Kind("said", "angle_increment spans {value:.4g} of what angle_min and angle_max do: it is used"),
     "assumed_beams": Kind("said", "assumed: beams {place}, which a FLASER line does not say", "laser.fov"),
     "assumed_mount": Kind("said", "assumed: the laser at {place}", "laser.mount"),
     "assumed_range": Kind("said", "assumed: a laser of {value:.2f} m, {place}", "laser.max_range"),
     # of stamps
     "stamps": Kind("said", "stamps decrease or repeat at {value:.0f} scans: replayed in the order of the file"),
+    "stamps_unit": Kind("said", "the robot drives at {value:.2g} m/s by its stamps: are these milliseconds?"),
     "stamps_of_recording": Kind("said", "stamps of headers decrease, repeat or are 0: those of recording are used"),
     # of the file
     "left_out": Kind("said", "{value:.0f} {place}"),

@@ -20,10 +20,10 @@ from sixthsense.simulation.scene import Scene, load_scene
 
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
 """note of a log, and line of a live run"""
-_USED = {
-    "carmen": "`laser.beams`, `laser.fov`, `laser.max_range`, `laser.mount`, `laser.mirrored`, `laser.sweep_s`",
-    "bag": "`topics`, `odometry_frames`, `laser.max_range`, `laser.mount`, `laser.mirrored`",
-    "run": "`laser.mount`", "graph": "no option of a laser", "mrclam": "`robot`",
+_USED: Mapping[str, Sequence[str]] = {
+    "carmen": ("laser.beams", "laser.fov", "laser.max_range", "laser.mount", "laser.mirrored", "laser.sweep_s"),
+    "bag": ("topics", "odometry_frames", "laser.max_range", "laser.mount", "laser.mirrored"),
+    "run": ("laser.mount",), "graph": (), "mrclam": ("robot",),
 }  # fmt: skip
 """options that choose from a log or describe its laser, by the kind of log that has a use for them"""
 
@@ -93,8 +93,9 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Ite
         names += [f"laser.{part}" for part in value] if name == "laser" and isinstance(value, Mapping) else []
     kind = kind_of(Path(log)) if names and log is not None else ""
     for name in names:
-        if kind and f"`{name}`" not in _USED[kind]:
-            raise InputError(name, f"found on a log of kind {kind}", _USED[kind])
+        if kind and name not in _USED[kind]:
+            allowed = ", ".join(map("`{}`".format, _USED[kind]))
+            raise InputError(name, f"found on a log of kind {kind}", allowed or "no option of a laser")
 
 
 def check_out(log: str | Path, out: Path | None) -> None:

@@ -113,16 +113,9 @@ def ticks_of(messages: Sequence[Message], mount: Pose) -> list[Tick]:
 
 
 def _tick(stamp_ns: int, row: Any) -> Tick:
-    names = "increment_cov", "truth", "log_stamp_s"
-    cov, truth, own_s = (None if np.isnan(row[name]).any() else row[name] for name in names)
-    return Tick(
-        stamp_ns,
-        Pose.from_array(row["odometry"]),
-        increment_cov=cov,
-        truth=None if truth is None else Pose.from_array(truth),
-        log_stamp_s=None if own_s is None else float(own_s),
-        is_unmeasured=bool(row["is_unmeasured"]),
-    )
+    kinds: dict[str, Any] = {"increment_cov": np.asarray, "truth": Pose.from_array, "log_stamp_s": float}
+    known = {name: kind(row[name]) for name, kind in kinds.items() if not np.isnan(row[name]).any()}
+    return Tick(stamp_ns, Pose.from_array(row["odometry"]), is_unmeasured=bool(row["is_unmeasured"]), **known)
 
 
 def read_messages(file: Path) -> tuple[list[Message], bool]:

@@ -49,14 +49,16 @@ class Record:
         """Raise InputError with file and line."""
         raise InputError(f"{self.path} line {self.line}", what)
 
-    def numbers(self, fields: Sequence[bytes], largest: float | None = LARGEST) -> Array:
+    def numbers(self, fields: Sequence[bytes], largest: float | None = LARGEST, unit: str = "") -> Array:
         """(len(fields),) finite numbers, up to `largest` in magnitude; without a limit also NaN and infinity."""
         try:
             values = np.array(fields, dtype=np.float64)
         except ValueError:
             values = np.array([self._number(field) for field in fields])
         if largest is not None and not (is_fine := np.abs(values) <= largest).all():
-            self.fail(f"found {shown(fields[int(np.argmin(is_fine))])}, allowed: a finite number up to {largest:.0e}")
+            self.fail(
+                f"found {shown(fields[int(is_fine.argmin())])}, allowed: a finite number{unit} up to {largest:.0e}"
+            )
         return values
 
     def _number(self, field: bytes) -> float:
@@ -68,7 +70,7 @@ class Record:
 
     def stamp_ns(self, field: bytes, parts: int = 1) -> int:
         """Nanoseconds of a stamp in `parts` of a second, from its decimal digits; a float would round to 0.1 us."""
-        self.numbers([field], LAST_STAMP_S * parts)
+        self.numbers([field], LAST_STAMP_S * parts, " of seconds" * (parts == 1))
         return round(Decimal(field.decode()) / parts * 1_000_000_000)
 
     def whole(self, column: int, name: str) -> int:

@@ -108,9 +108,6 @@ class SceneGrid:
 
     def nearest(self, free: Bools, point: Array) -> tuple[int, int]:
         """Row and col of the free cell (H, W) whose centre is nearest to a point (2,); there must be one."""
-        if self.at(free, point):
-            col, row = np.floor((point - self.low) / self.cell_m).astype(np.int64).tolist()
-            return row, col
         cells = np.argwhere(free)
         row, col = cells[np.argmin(((self.centres(cells) - point) ** 2).sum(axis=1))].tolist()
         return row, col

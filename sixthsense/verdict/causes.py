@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.logs.diagnose import beside_wheels
+from sixthsense.verdict.disagreement import Turns
 from sixthsense.verdict.evidence import Evidence, share
 from sixthsense.verdict.probability import MIRROR_SIGMAS
 from sixthsense.verdict.verdict import Cause
@@ -25,7 +26,8 @@ _OLD_SHARE = 0.25  # the same of another pass
 _BLIND_M = 2.0  # of travel without a return that is worth a word
 _LEAST_OVERLAP = 0.3  # of the returns of a scan, confirmed by those before
 _APART_S = 5.0  # between two events that are told apart
-_FACTOR = 0.1  # by which wheels are wrong that is worth a word
+_FACTOR, _SPREAD, _ALIKE = 0.1, 0.15, 0.93
+"""by which wheels are wrong that is worth a word, and scans no mount explains; correlation of turns by one factor"""
 
 
 def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
@@ -37,10 +39,10 @@ def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
     return (
         *_clocks(evidence),
         *mount,
+        *_wheels(evidence),
         *events,
         *_walls(evidence, found),
         *_untied(evidence, found),
-        *_wheels(evidence),
     )
 
 
@@ -72,9 +74,9 @@ def remarks_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
 
 
 def _beside_wheels(evidence: Evidence, found: Witnesses) -> list[Cause]:
-    """What motions by scans and by wheels say of both, where they turn alike."""
+    """What motions by scans and by wheels say of both, where they turn alike: a mount changes no turn."""
     mount, turns = evidence.mount, evidence.turns
-    if mount is None or turns is None or turns.correlation < 0.7:
+    if mount is None or turns is None or turns.correlation < 0.7 or _is_off(turns, _SPREAD):
         return []
     scan = next((one for one in found.scans if one is not None), None)
     findings = beside_wheels(mount, Pose() if scan is None else scan.T_robot_laser)
@@ -160,20 +162,17 @@ def _walls(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     times = f"{evidence.stamps_s[one]:.0f} s and {evidence.stamps_s[other]:.0f} s"
     places = found.trajectory[np.unique(evidence.old_pairs[wrong > _OLD_SHARE, 1]), :2]
     where, at = _place(found, other), float(evidence.stamps_s[other])
+    name, told = "doubled", f"the walls seen at {times} at {where} do not fit"
     if evidence.closures is not None and evidence.closures.found and _is_linked(found, one, other):
-        told = f"what was seen at {times} at {where} contradicts; were two places alike taken for one?"
-        yield Cause("alike", told, float(evidence.stamps_s[one]), at, places)
-    else:
-        told = f"the walls seen at {times} at {where} do not fit"
-        yield Cause("doubled", told, float(evidence.stamps_s[one]), at, places)
+        name, told = "alike", f"what was seen at {times} at {where} contradicts; were two places alike taken for one?"
+    yield Cause(name, told, float(evidence.stamps_s[one]), at, places)
 
 
 def _is_linked(found: Witnesses, one: int, other: int) -> bool:
     """Whether a link joins keyframes near two others."""
-    if found.links is None or not len(found.links):
+    if found.links is None:
         return False
-    near = np.abs(np.sort(found.links, axis=1) - (one, other)).max(axis=1)
-    return bool(near.min() <= 10)
+    return bool((np.abs(np.sort(found.links, axis=1) - (one, other)).max(axis=1) <= 10).any())
 
 
 def _untied(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
@@ -190,8 +189,13 @@ def _wheels(evidence: Evidence) -> Iterator[Cause]:
     parts = []
     if mount is not None and abs(mount.scale - 1.0) > _FACTOR:
         parts.append(f"distances are {mount.scale:.2f}")
-    if turns is not None and abs(turns.slope - 1.0) > max(_FACTOR, _SIGMAS * turns.sigma):
+    if turns is not None and _is_off(turns, _FACTOR):
         parts.append(f"turns are {turns.slope:.2f}")
     if parts:
-        told = f"by the scans {' and '.join(parts)} times what the wheels report; are ranges and wheels in one unit?"
+        told = f"by the scans {' and '.join(parts)} times what the wheels report; are beams, ranges and wheels right?"
         yield _whole("wheels", told, evidence)
+
+
+def _is_off(turns: Turns, by: float) -> bool:
+    """Whether all turns of the trajectory differ by a share from those of the wheels; at a slip some do."""
+    return turns.correlation > _ALIKE and abs(turns.slope - 1.0) > max(by, _SIGMAS * turns.sigma)

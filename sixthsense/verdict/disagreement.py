@@ -72,7 +72,7 @@ def mirror(views: Views, found: Disagreement) -> Mirror:
     pairs, mount = np.stack([turning - 1, turning], axis=1), views.mounts[turning]
     motions = laser_motions(found.wheels[turning], mount)
     results = [compared_at(views, pairs, each) for each in (motions, motions * (1.0, -1.0, -1.0))]
-    one, other = (_score(each) for each in results)
+    one, other = (each[:, SURFACE] / np.maximum(each[:, SURFACE] + each[:, THROUGH], 1) for each in results)
     won = np.sign(np.round(other - one, 9))
     total = np.concatenate([[0.0], np.cumsum(won)])
     surplus = total[1:] - np.minimum.accumulate(total)[:-1]
@@ -82,10 +82,6 @@ def mirror(views: Views, found: Disagreement) -> Mirror:
     if surplus[last] <= 0.0:
         return nowhere
     return Mirror(int(turning[first]), int(turning[last]), float(surplus[last]) / math.sqrt(size))
-
-
-def _score(found: NDArray[np.int64]) -> Array:
-    return np.asarray(found[:, SURFACE] / np.maximum(found[:, SURFACE] + found[:, THROUGH], 1))
 
 
 def laser_motions(motions: Array, mounts: Array) -> Array:
@@ -116,8 +112,7 @@ def turns(found: Disagreement) -> Turns | None:
     if len(w) < _FEWEST or power < _TURN_RAD**2 * _FEWEST:
         return None
     slope = float(w @ t) / power
-    off = t - slope * w
-    sigma = float(np.sqrt((off @ off) / max(len(w) - 1, 1) / power))
+    sigma = float(np.linalg.norm(t - slope * w) / np.sqrt(max(len(w) - 1, 1) * power))
     scale = float(np.sqrt(power * (t @ t)))
     return Turns(slope, sigma, float(w @ t) / scale if scale > 0.0 else 0.0)
 

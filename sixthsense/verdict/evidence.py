@@ -105,10 +105,10 @@ def contradicted_between(found: Witnesses, first: int) -> tuple[float, float]:
 def _cuts(pairs: NDArray[np.int64], found: NDArray[np.int64], count: int) -> Array:
     """(K,) least share contradicted of the pairs of one keyframe before each and one from it on.
 
-    A single scan that fits nothing is no cut if the next ones fit those before.
+    A single scan that fits nothing is no cut if the next ones fit those before, by enough returns.
     """
     steps = pairs[:, 1] - pairs[:, 0]
-    is_near = steps <= NEXT
+    is_near = (steps <= NEXT) & (found[:, SURFACE] + found[:, THROUGH] >= FEWEST)
     shares = np.full((count, NEXT + 1), np.nan)  # of each keyframe and the one that is so many before it
     shares[pairs[is_near, 1], steps[is_near]] = share(found[is_near].astype(np.float64))
     across = [(late, step) for late in range(NEXT) for step in range(late + 1, NEXT + 1)]

@@ -39,6 +39,7 @@ def test_a_log_without_truth_has_its_scans_the_way_the_area_the_loop_closures_an
     }
     none = LOG | {"loop_closures_found": 0, "keyframes_passed_before": 1250}
     assert run_summary(none)["driven"].endswith(", 0 loop closures, 1,250 keyframes near another pass")
+    assert "no covariance of full rank" in run_summary({"ate_rmse_m": 0.03})["consistency"]
     relations = {"relations_trans_m_mean": 0.026, "relations_rot_deg_mean": 0.451}
     assert run_summary(LOG | relations)["accuracy"] == "error against the relations 2.6 cm, 0.45° on average"
     for nis, size in ((0.49, "larger"), (0.51, ""), (1.99, ""), (2.01, "smaller")):

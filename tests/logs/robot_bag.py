@@ -10,7 +10,7 @@ import numpy as np
 from bags import Bag
 
 from sixthsense.config import Config, preset
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Pose, point_segment_distance
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.logs import open_log
@@ -30,6 +30,11 @@ def way(seconds: float) -> Pose:
     """The true pose: it drives and turns, to either side in no regular way."""
     turn = 0.9 * math.sin(0.8 * seconds) + 0.3 * math.sin(2.9 * seconds) + 0.2
     return Pose(0.9 * math.sin(0.35 * seconds) - 0.3, 0.7 * math.sin(0.2 * seconds) + 0.1, turn)
+
+
+def changed(key, value, which=range(10**6)):
+    """A change of what the messages of such numbers say, to a value or to a function of the number."""
+    return lambda k, says: {**says, key: value(k) if callable(value) else value} if k in which else says
 
 
 def robot_bag(
@@ -89,12 +94,5 @@ def off_walls_m(ticks: Iterable[Tick], ahead_s: float = 0.0) -> float:
         if tick.scan is not None:
             true = way(1e-9 * (tick.stamp_ns - T0_NS) - ahead_s)
             points = true @ tick.scan.points_robot[np.isfinite(tick.scan.ranges)]
-            worst = max(worst, float(_distances(points).max(initial=0.0)))
+            worst = max([worst, *(float(point_segment_distance(point, WALLS).min()) for point in points[::7])])
     return worst
-
-
-def _distances(points: Array) -> Array:
-    a, along = WALLS[:, 0], WALLS[:, 1] - WALLS[:, 0]
-    share = np.einsum("nwi,wi->nw", points[:, None] - a, along) / np.sum(along**2, axis=1)
-    feet = a + np.clip(share, 0.0, 1.0)[..., None] * along
-    return np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from robot_bag import MOUNT, T0_NS, read, robot_bag, way
+from robot_bag import MOUNT, T0_NS, changed, read, robot_bag, way
 
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
@@ -15,9 +15,7 @@ from sixthsense.logs import open_log
 from sixthsense.logs.diagnose import beside_wheels, findings_of, hand_eye, settled
 from sixthsense.logs.finding import KINDS, Finding
 
-
-def every(key, value):
-    return lambda k, says: {**says, key: value(k) if callable(value) else value}
+NOISE = np.array([0.02, 0.02, 0.005])
 
 
 def turned(k):
@@ -28,13 +26,17 @@ def turned(k):
 
 # name: keywords of the bag, the kind that is found
 FOUND = {
-    "ranges from right to left": ({"scan": every("is_mirrored", True)}, "turned_around"),
-    "turns inverted": ({"odom": every("pose", turned)}, "turned_around"),
-    "odometry frozen": ({"odom": every("pose", Pose(0.3, 0.2, 0.1))}, "frozen_odometry"),
-    "sweep in ms": ({"scan": every("lag", 0.35)}, "sweep"),
-    "sweep negative": ({"scan": every("lag", -0.0003)}, "sweep"),
-    "sweep too small": ({"scan": every("lag", 0.00002)}, "sweep"),
-    "angle_max of twice the beams": ({"scan": every("last", -2.0 + 2.0 * math.radians(1.2) * 239)}, "angle_increment"),
+    "ranges from right to left": ({"scan": changed("is_mirrored", True)}, "turned_around"),
+    "turns inverted": ({"odom": changed("pose", turned)}, "turned_around"),
+    "odometry frozen": ({"odom": changed("pose", Pose(0.3, 0.2, 0.1))}, "frozen_odometry"),
+    "sweep in ms": ({"scan": changed("lag", 0.35)}, "sweep"),
+    "sweep negative": ({"scan": changed("lag", -0.0003)}, "sweep"),
+    "sweep too small": ({"scan": changed("lag", 0.00002)}, "sweep"),
+    "half the beams' angle": ({"scan": changed("angle_unit", 0.5)}, "turns_scaled"),
+    "angle_max of twice the beams": (
+        {"scan": changed("last", -2.0 + 2.0 * math.radians(1.2) * 239)},
+        "angle_increment",
+    ),
 }
 
 
@@ -51,7 +53,7 @@ def driven(of_pose):
     poses = [Pose(0.4, -0.3, 0.3)]
     for k in range(300):
         poses.append(poses[-1] @ Pose(0.02, 0.0, 0.025 * math.sin(0.05 * k)))
-    return every("pose", lambda k: of_pose(poses[k]))
+    return changed("pose", lambda k: of_pose(poses[k]))
 
 
 # name: odometry in place of x, y, heading; the kind
@@ -89,11 +91,7 @@ def test_a_clock_that_begins_with_0_keeps_its_stamps_and_one_that_begins_anew_is
 def motions(count, rng, is_circle):
     """Motions of a robot, (N, 3): on one circle, or to either side."""
     turns = np.full(count, 0.1) if is_circle else 0.4 * np.sin(0.9 * np.arange(count))
-    return np.column_stack([np.full(count, 0.5), np.zeros(count), turns]) + rng.normal(size=(count, 3)) * (
-        0.02,
-        0.02,
-        0.005,
-    )
+    return np.column_stack([np.full(count, 0.5), np.zeros(count), turns]) + NOISE * rng.normal(size=(count, 3))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -105,13 +103,8 @@ def test_mount_scale_and_sign_of_wheels_are_named_beside_a_path_and_left_open_on
     for is_circle in (False, True):
         true = motions(80, np.random.default_rng(seed), is_circle)
         T_off = np.broadcast_to(off, true.shape)
-        path = between(T_off, compose(true, T_off)) + np.random.default_rng(seed + 9).normal(size=true.shape) * (
-            0.02,
-            0.02,
-            0.005,
-        )
-        wheels = true / (scale, scale, 1.0)
-        found = hand_eye(wheels, path, np.full(80, 0.05))
+        path = between(T_off, compose(true, T_off)) + NOISE * np.random.default_rng(seed + 9).normal(size=true.shape)
+        found = hand_eye(true / (scale, scale, 1.0), path, np.full(80, 0.05))
         if is_circle:
             assert found is None
             continue

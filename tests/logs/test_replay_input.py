@@ -12,7 +12,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.logs.log import Log, Odometry, Relations, ascending, matched, passed_s
+from sixthsense.logs.log import Log, Relations, ascending, matched, passed_s
 from sixthsense.logs.replay_input import (
     LogSelection,
     base_of,
@@ -143,9 +143,3 @@ def test_stamps_ascend_are_spread_where_they_are_shared_and_are_of_the_unit_that
         assert passed_s(np.round(1e9 * np.array(stamps_s)).astype(np.int64)) == pytest.approx(expected)
     for stamp, name in ((1.7e9, "seconds"), (3.0, "seconds"), (1.7e12, "milliseconds"), (1.7e18, "nanoseconds")):
         assert unit_of(np.array([stamp, 1.01 * stamp]))[1] == name
-
-
-def test_without_a_time_no_motion_is_a_jump_and_with_one_it_is():
-    poses = np.array([[1.3 * k, 0.2, 0.1 * k] for k in range(9)])
-    assert not len(Odometry(np.arange(70, 79), poses).jumps())
-    assert len(Odometry(20_000_000 * np.arange(9), poses).jumps()) == 8

@@ -96,14 +96,10 @@ def test_outlines_are_the_edges_between_occupied_and_free_cells() -> None:
                 assert not found & edges
                 found |= edges
         padded, expected = np.pad(occupied, 1), set()
-        for free_side, edge in (
-            ((-1, 0), (0, 0, 1, 0)),
-            ((0, 1), (1, 0, 1, 1)),
-            ((1, 0), (1, 1, 0, 1)),
-            ((0, -1), (0, 1, 0, 0)),
-        ):
+        sides = (-1, 0, 0, 0, 1, 0), (0, 1, 1, 0, 1, 1), (1, 0, 1, 1, 0, 1), (0, -1, 0, 1, 0, 0)
+        for *free_side, x, y, to_x, to_y in sides:
             cells = np.argwhere(padded & ~np.roll(padded, np.negative(free_side), (0, 1)))[:, ::-1] - 1
-            expected |= {tuple(row) for row in (np.tile(cells, 2) + edge).tolist()}
+            expected |= {tuple(row) for row in np.add(np.tile(cells, 2), (x, y, to_x, to_y)).tolist()}
         assert found == expected
 
 
@@ -167,9 +163,8 @@ def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(
     scene = load_scene(write(tmp_path, "hall.toml", GOOD + ROOM))
     config, found = mission_of(preset(task=task, scene="rectangle", **given), scene)
     assert found.goals.tolist() == goals and found.walkers is None and config.people is None
-    assert found.start == Pose(*given.get("start", (2.3, 3.4, 0.7))) and found.radius_m == (
-        0.15 if "start" in given else 0.2
-    )
+    assert found.start == Pose(*given.get("start", (2.3, 3.4, 0.7)))
+    assert found.radius_m == (0.15 if "start" in given else 0.2)
 
 
 @pytest.mark.parametrize(("given", "said"), [

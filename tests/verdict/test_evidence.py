@@ -162,6 +162,7 @@ def test_one_scan_that_fits_nothing_is_no_cut_and_a_place_that_no_pair_spans_is_
         if lone is not None:
             apart |= (pairs == lone).any(axis=1)
         judged = np.where(apart[:, None], [3, 57, 0, 90], [60, 0, 0, 90])
+        judged[(pairs == (5, 8)).all(axis=1)] = 1, 0, 0, 90  # a pair that hardly sees the same says nothing
         cuts = _cuts(pairs, judged, 12)
         assert math.isnan(cuts[0]) and np.flatnonzero(cuts[1:] > 0.5).tolist() == (
             [] if cut_at is None else [cut_at - 1]

@@ -52,14 +52,17 @@ def test_a_mirrored_laser_is_told_with_the_time_in_which_the_robot_turns(front_e
     assert 0 <= begin < 0.2 * duration_s and 0.8 * duration_s < end <= duration_s + 1.0
 
 
-def test_a_mount_that_is_stated_wrongly_is_told_with_where_the_laser_is() -> None:
-    verdict = replayed(mount_left()).verdict
+def test_a_mount_that_is_stated_wrongly_is_told_with_where_the_laser_is_and_by_an_audit_too() -> None:
+    run = replayed(mount_left())
+    verdict = run.verdict
     assert verdict is not None and verdict.level != "good" and verdict.cause == "mount"
     told = re.search(r"([+-][\d.]+) m to the left", str(verdict))
     assert told is not None and float(told[1]) == pytest.approx(0.31, abs=0.03)
     named, scan = re.search(r"`laser.mount` (\S+) (\S+) [^)]+\)", str(verdict)), ticks()[0].scan
     assert named is not None and scan is not None
     assert np.array(named.groups(), dtype=float) == pytest.approx(scan.T_robot_laser.position, abs=0.03)
+    truth = [1e-9 * tick.stamp_ns for tick in ticks()], [tick.odometry.array() for tick in ticks()]
+    assert verdict.causes[0].sentence in ss.audit(run, truth).notes
 
 
 def test_a_robot_that_was_carried_is_told_with_the_time() -> None:
