@@ -85,7 +85,7 @@ def test_once_the_corridor_tells_the_rooms_apart_the_place_is_found(room):
 
 def test_in_another_building_nothing_is_found():
     other = np.concatenate([outline((0, 0), (9, -2), (12, 6), (3, 9)), box(4, 3, 1.5, 1.5)])
-    assert search(along((1.5, 1.5), (6, 1), (9, 3), (6.5, 6)), other) is None
+    assert search(along((1.5, 1.5), (6, 1), (9, 3), (6.5, 6), (3.5, 6), (2, 2)), other) is None
 
 
 class Numbers:
