@@ -7,13 +7,13 @@ the gap: so a gap is as wide as its returns are apart, whichever way it lies to 
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, Literal, Protocol
 
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from sixthsense.core.geometry import Array
 from sixthsense.slam.mapping.changes import Box, Changes, Revision, moved
@@ -24,22 +24,22 @@ _SIDE = 2  # cells from the middle of a gap to where the distance has to be less
 _NOWHERE = Box(0, 0, 0, 0)
 
 
-class Obstacles(Protocol):
-    """What a clearance is drawn from: a grid."""
+class ObstacleGrid(Protocol):
+    """What a clearance is drawn from."""
 
     changes: Changes
 
     @property
     def box(self) -> Box:
-        """Of its cells."""
+        """The box of its cells."""
         ...
 
     def obstacle_points(self, box: Box) -> Array:
-        """(N, 2) where the obstacles in a box are, world frame, metres."""
+        """(N, 2) places of the obstacles in a box, world frame, metres."""
         ...
 
     def part(self, name: Literal["seen", "obstacles"], box: Box) -> NDArray[Any]:
-        """(H, W) the cells of a box."""
+        """(H, W) the seen cells, or the obstacles, of a box."""
         ...
 
 
@@ -51,18 +51,18 @@ class Clearance:
     """
 
     def __init__(self, cell_m: float, least_m: float, most_m: float) -> None:
-        """Begin without a map. Cells below `least_m` are blocked; larger distances than `most_m` count as that."""
+        """Begin without a map. Cells nearer than `least_m` to an obstacle are blocked; distances end at `most_m`."""
         self.cell_m, self.least_m, self.most_m = cell_m, least_m, max(most_m, least_m + 2.0 * cell_m)
         self.box = _NOWHERE
-        """of the cells, counted from the world's origin"""
+        """the box of the cells, counted from the world's origin"""
         self.metres: Floats = np.zeros((0, 0), dtype=np.float32)
         """(H, W) distance to the nearest obstacle, at most `most_m`"""
         self.offsets: Floats = np.zeros((0, 0, 2), dtype=np.float32)
         """(H, W, 2) row and col, in cells, from the centre of a cell to where it is measured; 0 outside narrow gaps"""
         self.blocked: Bools = np.zeros((0, 0), dtype=np.bool_)
-        """(H, W) less than `least_m`"""
+        """(H, W) cells nearer than `least_m` to an obstacle"""
         self.seen = self.obstacles = self.blocked
-        """(H, W) as of the grid"""
+        """(H, W) seen cells and obstacle cells of the grid"""
         self._revision: Revision | None = None
 
     @property
@@ -75,7 +75,7 @@ class Clearance:
         """World x, y of the lower left corner of the cells, metres."""
         return self.box.left * self.cell_m, self.box.top * self.cell_m
 
-    def update(self, grid: Obstacles) -> None:
+    def update(self, grid: ObstacleGrid) -> None:
         """Draw the clearance again where the grid has changed."""
         box, reach = grid.box, math.ceil(self.most_m / self.cell_m) + 1
         changed = grid.changes.since(self._revision)
@@ -108,7 +108,7 @@ class Clearance:
         return np.array([self.box.left + col + 0.5 + across, self.box.top + row + 0.5 + down]) * self.cell_m
 
     def free_space(self, wish_m: float, robot: ArrayLike | None = None, unseen_m: float = math.inf) -> FreeSpace:
-        """Where the robot may drive, and what that costs.
+        """Where the robot may drive, and what a metre there costs.
 
         A metre costs 1, and (wish / clearance)^2 where its clearance is less than `wish_m`, like in Nav2's inflation
         layer. A `robot` (2,) that stands where it is blocked may go where the clearance is no less than it has, within
@@ -121,8 +121,10 @@ class Clearance:
         if robot is not None and blocked[self.cell(robot)]:
             blocked = blocked & ~self._way_out(self.cell(robot), wish_m)
         if unseen_m < math.inf:
-            reach = max(1, round(unseen_m / self.cell_m))
-            blocked = blocked | (ndimage.maximum_filter(self.seen.view(np.uint8), 2 * reach + 1) == 0)
+            reach, (height, width) = max(1, round(unseen_m / self.cell_m)), blocked.shape
+            seen, shifts = np.pad(self.seen, reach), range(2 * reach + 1)  # much faster than by `scipy.ndimage`
+            near = functools.reduce(np.bitwise_or, [seen[k : k + height] for k in shifts])
+            blocked = blocked | ~functools.reduce(np.bitwise_or, [near[:, k : k + width] for k in shifts])
         np.copyto(cost, np.inf, where=blocked)
         cost.flags.writeable = False  # so that it is not copied
         return FreeSpace(blocked, self.seen, self.origin, self.cell_m, cost, self.offsets)

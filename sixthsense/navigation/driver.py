@@ -45,7 +45,7 @@ class DriverLimits(NamedTuple):
 
     @staticmethod
     def of(config: Config) -> DriverLimits:
-        """Those of a configuration: a robot is stuck after twice the time of its patient turns and of some progress."""
+        """The limits of a configuration. A robot is stuck after twice the time of its patient turns and of progress."""
         follow, robot = config.follow, config.robot
         patience_s = 2.0 * (PATIENT_TURNS * math.tau / robot.turn_rate + _PROGRESS_M / robot.speed)
         slacks = follow.distance_slack_m, follow.heading_slack_rad
@@ -89,7 +89,7 @@ def followed(
 ) -> tuple[float, float, int, bool]:
     """Speed and turn rate of one control tick, then the next way point and whether the robot drives towards it.
 
-    `k` and `is_driving` are these of the tick before. A standstill when no way point is left.
+    `k` and `is_driving` are those of the tick before. When no way point is left, the robot stands still.
     """
     x, y, distance = 0.0, 0.0, 0.0
     while k < len(path):

@@ -40,7 +40,7 @@ State = Literal["viewing", "closing a loop", "waiting", "going home"]
 
 TRIES = 2
 """a target that was not seen at so many tries, with a full turn at each viewpoint, is given up: one may mislead"""
-_SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
+_SEEN_FRACTION = 0.2  # a target is seen when at most this share of it is unknown
 
 
 class SensorModel(NamedTuple):
@@ -78,10 +78,10 @@ class Exploration:
         """chooses the views"""
         self._goal: Goal | None = None
         self._target: Target | None = None
-        self._failures: Counter[Cell] = Counter()  # of the tries to see each cell, counted from the world's origin
+        self._failures: Counter[Cell] = Counter()  # tries to see each cell; cells are counted from the world's origin
         self._is_stuck = False  # since a goal was reached last
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
-        self._waits, self._seen_m2 = 0, 0.0  # since the robot has seen anything new, and how much that was
+        self._waits, self._seen_m2 = 0, 0.0  # waits since the robot saw anything new; the area seen by then
 
     def next(self, map_: DrivingMap, pose: Pose, event: Event) -> Goal | None:
         """The goal after an event: the same one until it is reached, seen or given up; None at the end."""

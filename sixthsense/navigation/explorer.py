@@ -17,7 +17,7 @@ from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
 
-_STOPS = 12  # so many views are visited by a tour, those with the shortest ways
+_STOPS = 12  # views in a tour: those with the shortest ways from the robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ class Target:
     viewpoint: Cell
     """the cell to see them from"""
     tour: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(K, 2) robot, stops and home of the tour that begins with it, world frame, m; empty for one of no tour"""
+    """(K, 2) robot, stops and home of the tour that begins with it, world frame, m; empty if no tour was made"""
 
 
 class ExplorationView:

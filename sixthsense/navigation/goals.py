@@ -26,7 +26,7 @@ class Goals:
         self._goal = next(self._rest)
 
     def next(self, map_: DrivingMap, pose: Pose, event: Event) -> Goal | None:
-        """At a goal the next one; without a path or without progress the drive is over."""
+        """The same goal until it is reached, then the next one; the task ends where there is no path or no progress."""
         if event == "arrived":
             following = next(self._rest, None)
             if following is None:

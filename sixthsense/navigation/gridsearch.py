@@ -19,7 +19,7 @@ from sixthsense.slam.mapping.freespace import Bools, Floats
 Cells = NDArray[np.int64]
 """(N, 2) row, col."""
 Cell = tuple[int, int]
-_TILES = (1 << 32) - 1  # bits of a number in a queue that are of the tile, below those of its cost
+_TILES = (1 << 32) - 1  # the lower bits of a number in a queue: the tile; the upper ones: its cost
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -208,12 +208,12 @@ class Guard:
         self._stopped = False
 
     def moved(self, motion: Pose) -> None:
-        """Take in the motion of a control tick from odometry, `T_before_after`."""
+        """Add the motion of a control tick from odometry, `T_before_after`."""
         step = motion.triple()  # of triples: it is called at each control tick
         self._since, self._at = compose(self._since, step), compose(self._at, step)
 
     def see(self, scan: Scan, moving_robot: Array = _NOTHING) -> None:
-        """Take in a scan from the robot's present pose, and those of its returns (M, 2), robot's frame, that move."""
+        """Record a scan from the robot's present pose, and which of its returns (M, 2), robot's frame, move."""
         self._scan, self._since = scan, (0.0, 0.0, 0.0)
         if len(self._obstacles.moving):
             self._before.clear()  # what moves was elsewhere

@@ -42,6 +42,7 @@ class DrivingMap:
         most_m = self._own_m + config.safety.max_margin_m
         self.clearance = Clearance(config.grid.cell_m, least_clearance_m(radius_m, config), most_m)
         self.wish_m = self._own_m
+        """clearance below which a metre costs more"""
         self._unseen_m = radius_m if knows_free else math.inf
 
     def update(self, grid: Grid, estimate: Estimate) -> None:
@@ -63,8 +64,8 @@ class DrivingMap:
         cells = (path - clearance.origin) / clearance.cell_m
         return bool(is_free(clearance.blocked, clearance.offsets, cells, _OFF_MIDDLE))
 
-    def least_m(self, path: Array) -> float:
-        """The least clearance of the cells of (N, 2) places."""
+    def narrowest_m(self, path: Array) -> float:
+        """The least clearance along a path (N, 2), m, of the cells of its way points."""
         return float(min((self.clearance.metres[self.clearance.cell(point)] for point in path), default=math.inf))
 
 
@@ -101,7 +102,7 @@ class PathPlanner:
         if not plan.found:
             return None
         self.plans.append(plan.path_world)
-        self.plans_below_margin += map_.least_m(plan.path_world) < map_.wish_m
+        self.plans_below_margin += map_.narrowest_m(plan.path_world) < map_.wish_m
         return shortcut(space, plan.path_world)
 
     def _planned(self, space: FreeSpace, start: Array, goal: Array) -> Plan:

@@ -74,11 +74,11 @@ class PoseHistory:
         return np.array(places).reshape(-1, 4)
 
     def go_back(self, place: Array) -> None:
-        """Take in that the robot goes back to one of the `well_known_places`, (4,)."""
+        """Record that the robot goes back to one of the `well_known_places`, (4,)."""
         self._promised_m = float(place[2])
 
     def came_back(self) -> None:
-        """Take in that going back is over: if the position is as uncertain, places known hardly better give no more.
+        """Record that going back is over: places known little better than that one count as uncertain as the robot is.
 
         Else the robot would go back to them again and again.
         """

@@ -33,7 +33,7 @@ class UnseenPlace:
     y: float
     """world frame, metres"""
     area_m2: float
-    """unseen area there that would be visible, according to the map, from the viewpoint that the reason tells"""
+    """unseen area there that would be visible, according to the map, from the viewpoint that the reason names"""
     reason: Reason
     """gave up: visible from where the robot can drive; it looked and did not see it; cut off by inflation only: beyond
     a gap that is wider than the robot; unreachable: beyond a narrower one, or the robot knows no way there"""
@@ -89,7 +89,7 @@ class _Gaps:
         _, self._before = ways_from(links, cost.astype(np.float32), map_.tile(map_.here), none)
 
     def width_m(self, cell: Cell) -> float | None:
-        """That on the way to a cell, metres; None without a way, or where one of its sides was not seen."""
+        """The width of the gap to a cell, metres; None without a way, or where one of its sides was not seen."""
         cols, (row, col) = self._best.shape[1], self._map.tile(cell)
         way = [row * cols + col]
         while self._before[way[-1]] >= 0:

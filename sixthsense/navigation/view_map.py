@@ -108,7 +108,7 @@ class ViewMap:
         return frontier_pieces(self.known.free, unseen, self.first, self.cell_m, robot)
 
     def view_of(self, piece: Piece, places: NDArray[np.int64], reach: float) -> Cell | None:
-        """The nearest of the cells `places` (R, C), as of `best_cells`, that has a piece in view within a reach."""
+        """The nearest of the `places` (R, C), which `best_cells` returns, that has a piece in view within a reach."""
         index = int(nearest_view(self.obstacles, places, self.side, *piece.centre, reach))
         return divmod(index, self.seen.shape[1]) if index >= 0 else None
 
