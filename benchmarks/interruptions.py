@@ -84,7 +84,8 @@ def robot() -> Iterator[None]:
 
 
 def listen() -> None:
-    """In the child: no signal is ignored, as they are under nohup and in the background of a shell."""
+    """In the child: no signal is ignored, as under nohup, or blocked, as in the processes of a suite."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGHUP})
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
