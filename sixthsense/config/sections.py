@@ -211,7 +211,8 @@ class AssociationConfig(Section):
     new_gate: Positive = 27.631
     """Squared Mahalanobis distance of a new landmark from every known one, at least: 0.999999 of chi-square."""
     new_separation_m: NonNegative = 0.3
-    """A new landmark is at least this far from every known one."""
+    """A new landmark is at least this far from every known one, unless most of the scan matches. A wall may also differ
+    in direction, or lie apart along its line."""
     known_probability: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """A named observation outside this quantile of its innovation's distribution is a misread name; 1: never."""
     proposed_by: Literal["estimate", "scan-matching"] = "estimate"
@@ -306,7 +307,7 @@ class FollowConfig(Section):
 
 
 class SafetyConfig(Section):
-    """Paths keep a margin where there is room; the guard slows and stops the robot by its latest scan."""
+    """Paths keep a margin where there is room; the guard slows and stops the robot by the scans of the last second."""
 
     max_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
     """Largest margin beyond grid.clearance-m that paths are to keep, however uncertain the pose; 0: no margin."""

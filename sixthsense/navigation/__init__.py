@@ -1,6 +1,6 @@
 """From the map to a command: exploration, path planning, driving, and the guard that stops the robot.
 
-`make_navigator` makes what the loop asks for commands; `guard.py` checks every command before it reaches the drive.
+`make_navigator` makes what the pilot asks for commands; `guard.py` checks every command before it reaches the drive.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def make_navigator(
     from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 
     paths = PathPlanner(part_of(config, PLANNERS).make(planner_rng), config)
-    map_ = DrivingMap(radius_m, config, knows_free=config.task == "explore")
+    map_ = DrivingMap(radius_m, config, stays_near_seen=config.task == "explore")
     if config.task != "explore":
         task: Task = Goals(goals, config)
         return Navigator(task, paths, map_, config, "tour ended" if config.task == "tour" else "out of time")

@@ -1,13 +1,14 @@
 """One exploration: where the robot drives next, and when it ends (report section 4.5).
 
 - Viewing: an explorer chooses a target, unseen cells beside free ones, and the viewpoint to see it from. The default
-  takes the first stop of a short tour through a viewpoint of each piece of the frontier and home. The robot drives to
-  the viewpoint and turns around there. It chooses anew when most of the target is seen, or the viewpoint is blocked.
+  takes the first stop of a short tour through the viewpoints of the nearest pieces of the frontier and home. The robot
+  drives to the viewpoint and turns there. It chooses anew when most of the target is seen, or the viewpoint is blocked.
 - A target that was not reached, or not seen after a look, counts a try at its cells; a look counts one at all unseen
   cells in view, too. Cells with `TRIES` tries are given up.
 - Closing a loop: where the position is uncertain, and a way back pays, it drives to a place where it was certain.
 - Waiting: where something was given up and people are expected, it looks again after a turn, for a while.
-- Going home: when no target is left. The exploration ends there.
+- Going home: when no target is left. The exploration ends there. It also ends if the robot is stuck twice without an
+  arrival between.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from sixthsense.slam.mapping.freespace import Bools
 State = Literal["viewing", "closing a loop", "waiting", "going home"]
 
 TRIES = 2
-"""a target that was not seen at so many tries, with a full turn at each viewpoint, is given up: one may mislead"""
+"""a target that was not seen at so many tries, with a turn at each viewpoint, is given up: a single one may mislead"""
 _SEEN_FRACTION = 0.2  # a target is seen when at most this share of it is unknown
 
 
@@ -80,7 +81,7 @@ class Exploration:
         self._target: Target | None = None
         self._failures: Counter[Cell] = Counter()  # tries to see each cell; cells are counted from the world's origin
         self._is_stuck = False  # since a goal was reached last
-        self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
+        self._has_left_view = True  # since the last loop closure: else one loop closure could follow another for ever
         self._waits, self._seen_m2 = 0, 0.0  # waits since the robot saw anything new; the area seen by then
 
     def next(self, map_: DrivingMap, pose: Pose, event: Event) -> Goal | None:
@@ -105,8 +106,8 @@ class Exploration:
             # A robot that the guard has stopped goes on: more scans may show another way.
             if event == "stopped" and not self._is_given_up(self._target):
                 return
-            self._has_seen_more = True
-        elif self._history.needs_loop_closure and (self._has_seen_more or self._history.is_much_less_certain):
+            self._has_left_view = True
+        elif self._history.needs_loop_closure and (self._has_left_view or self._history.is_much_less_certain):
             if self._begins_loop_closure(map_, pose):
                 return
         elif self._is_worth_going_on(map_.clearance):
@@ -116,7 +117,7 @@ class Exploration:
     def _choose_view(self, map_: DrivingMap, pose: Pose) -> None:
         """Head for the explorer's choice; when there is none wait, for people to go, or drive home."""
         self.state, reach_m = "viewing", self._sensor.reach * map_.clearance.cell_m
-        self._has_seen_more |= self._target is not None
+        self._has_left_view |= self._target is not None
         for outside_m in (self._config.explore.margin_m, reach_m):
             view = self._map_of_views(map_, pose, outside_m)
             self._target = self._chosen(view, pose)
@@ -165,7 +166,7 @@ class Exploration:
             return False
         place = places[int(np.argmin(lengths_m))]
         self._history.go_back(place)
-        self.state, self._target, self._has_seen_more = "closing a loop", None, False
+        self.state, self._target, self._has_left_view = "closing a loop", None, False
         self._goal = Goal(place[:2], 0.0)
         return True
 
@@ -192,7 +193,7 @@ class Exploration:
             if self._may_wait(map_):
                 self._goal = Goal(self._home, 0.0)
             else:
-                self.outcome = "goal unreachable"
+                self.outcome = "goal unreachable" if event == "no way" else "stuck"
 
     def _finish(self) -> None:
         explored: Outcome = "explored in part" if self.left else "explored"

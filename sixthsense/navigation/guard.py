@@ -77,8 +77,8 @@ def latency_s(config: Config) -> float:
 def least_clearance_m(radius_m: float, config: Config) -> float:
     """The distance, m, from obstacles to the centre of a disc below which a path may not lead.
 
-    It is the guard's own, if no obstacle ahead of or beside the disc, within its buffer, is between two beams. Other
-    robots keep the whole clearance.
+    It is the guard's own, if beams cover the half circle ahead, and lie no farther apart than the buffer at its edge.
+    Other robots keep `grid.clearance_m`, or the buffer if that is larger.
     """
     laser = config.laser
     spacing = abs(float(np.subtract(*beam_bearings(laser)[:2])))
@@ -88,7 +88,7 @@ def least_clearance_m(radius_m: float, config: Config) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _limits(
+def _contact_and_gap(
     points: Array, tx: float, ty: float, theta: float, speed: float, turn_rate: float, radius: float, reach: float
 ) -> tuple[float, float]:
     """Distance to the first contact along a command's arc, and gap to the nearest return ahead; metres.
@@ -160,13 +160,13 @@ def checked(
     x, y, theta = since
     speed = abs(v)
     reach = stopping_distance(speed, limits.latency_s, limits.deceleration)
-    contact, gap = _limits(obstacles.points, x, y, theta, v, w, limits.radius_m, reach)
+    contact, gap = _contact_and_gap(obstacles.points, x, y, theta, v, w, limits.radius_m, reach)
     x, y, theta = at
-    contact = min(contact, _limits(obstacles.earlier, x, y, theta, v, w, limits.radius_to_earlier_m, reach)[0])
+    contact = min(contact, _contact_and_gap(obstacles.earlier, x, y, theta, v, w, limits.radius_to_earlier_m, reach)[0])
     x, y, theta = since
     waits_for_moving = False
     if len(obstacles.moving):
-        to_body, body_gap = _limits(obstacles.moving, x, y, theta, v, w, limits.radius_to_bodies_m, reach)
+        to_body, body_gap = _contact_and_gap(obstacles.moving, x, y, theta, v, w, limits.radius_to_bodies_m, reach)
         waits_for_moving = to_body < contact
         contact, gap = min(contact, to_body), min(gap, body_gap)
     creep = min(limits.creep, speed)

@@ -1,4 +1,4 @@
-"""What the loop asks for commands: a navigator, which lets a task choose goals, plans paths to them, and drives.
+"""What the pilot asks for commands: a navigator, which lets a task choose goals, plans paths to them, and drives.
 
 A task is a state machine without side effects on others: it is given the map, the pose and what has happened, and
 returns the goal. Nobody calls back.

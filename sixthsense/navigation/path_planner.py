@@ -25,7 +25,7 @@ from sixthsense.navigation.planners import Plan, Planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import is_free, shortcut
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _PROBABILITY = 0.999
@@ -36,14 +36,14 @@ _OFF_MIDDLE = 0.4  # cells; a path that passes a narrow gap so far from its midd
 class DrivingMap:
     """The map as it is driven by: the clearance, the robot's pose, and the clearance that is wished for."""
 
-    def __init__(self, radius_m: float, config: Config, knows_free: bool) -> None:
-        """Begin without a map, for a disc of `radius_m`; `knows_free`: it drives through what was seen only."""
+    def __init__(self, radius_m: float, config: Config, stays_near_seen: bool) -> None:
+        """Begin without a map, for a disc of `radius_m`; `stays_near_seen`: a radius beyond what was seen at most."""
         self._config, self._own_m = config, radius_m + config.grid.clearance_m
         most_m = self._own_m + config.safety.max_margin_m
         self.clearance = Clearance(config.grid.cell_m, least_clearance_m(radius_m, config), most_m)
         self.wish_m = self._own_m
         """clearance below which a metre costs more"""
-        self._unseen_m = radius_m if knows_free else math.inf
+        self._unseen_m = radius_m if stays_near_seen else math.inf
 
     def update(self, grid: Grid, estimate: Estimate) -> None:
         """Draw the clearance where the grid has changed, and compute what is wished for at the present estimate."""
@@ -60,13 +60,16 @@ class DrivingMap:
 
     def is_clear(self, path: Array) -> bool:
         """Whether a path (N, 2) leads through no place that is blocked by now, and through the middle of gaps."""
-        clearance = self.clearance
-        cells = (path - clearance.origin) / clearance.cell_m
-        return bool(is_free(clearance.blocked, clearance.offsets, cells, _OFF_MIDDLE))
+        return self._avoids(path, self.clearance.blocked, _OFF_MIDDLE)
 
-    def narrowest_m(self, path: Array) -> float:
-        """The least clearance along a path (N, 2), m, of the cells of its way points."""
-        return float(min((self.clearance.metres[self.clearance.cell(point)] for point in path), default=math.inf))
+    def keeps_wish(self, path: Array) -> bool:
+        """Whether a path (N, 2) keeps the clearance that is wished for."""
+        below = self.clearance.metres < self.wish_m - 1e-6  # distances have 32 bits
+        return self._avoids(path, below, math.inf)
+
+    def _avoids(self, path: Array, barred: Bools, off_middle: float) -> bool:
+        cells = (path - self.clearance.origin) / self.clearance.cell_m
+        return bool(is_free(barred, self.clearance.offsets, cells, off_middle))
 
 
 def _margin_m(pose_cov: Array, config: Config) -> float:
@@ -102,7 +105,7 @@ class PathPlanner:
         if not plan.found:
             return None
         self.plans.append(plan.path_world)
-        self.plans_below_margin += map_.narrowest_m(plan.path_world) < map_.wish_m
+        self.plans_below_margin += not map_.keeps_wish(plan.path_world)
         return shortcut(space, plan.path_world)
 
     def _planned(self, space: FreeSpace, start: Array, goal: Array) -> Plan:

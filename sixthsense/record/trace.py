@@ -175,7 +175,7 @@ class Trace:
     culled: int = 0
     """number of removed landmarks"""
     walls_merged: int = 0
-    """number of walls merged into older duplicates"""
+    """number of walls merged into duplicates that were observed more often"""
     loop_closures: LoopClosureCounts | None = None
     """what the search for old places has come to; None without one"""
     links: PoseLinks | None = None

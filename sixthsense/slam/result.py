@@ -64,7 +64,7 @@ class SlamResult:
     culled: int
     """landmarks removed"""
     walls_merged: int
-    """walls merged into older duplicates"""
+    """walls merged into duplicates that were observed more often"""
     since_key: Array | None = None
     """(S, 3) motion from the last keyframe to each scan, if it is known better now than when the scan was taken"""
     loop_closures: LoopClosureCounts | None = None

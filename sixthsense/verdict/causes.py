@@ -31,7 +31,7 @@ _FACTOR, _SPREAD, _ALIKE = 0.1, 0.15, 0.93
 
 
 def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
-    """The causes, what holds for the whole run first."""
+    """The causes: a mirrored laser alone, or clocks and mount first, then events and passes; the wheels last."""
     if mirrored := (*_mirrored(evidence),):
         return mirrored
     mount = [each for each in _beside_wheels(evidence, found) if each.name != "odometry_scale"]
@@ -115,7 +115,7 @@ def _carried(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
         at = float(evidence.stamps_s[k])
         told = (
             f"the scan at {at:.0f} s, at {_place(found, k)}, does not fit those before "
-            f"({100 * new[k]:.0f} % of what both saw contradicts); was the robot carried?"
+            f"({100 * new[k]:.0f} % more of what both saw contradicts than usual there); was the robot carried?"
         )
         yield _at("carried", told, evidence, found, k)
 

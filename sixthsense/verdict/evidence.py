@@ -34,9 +34,9 @@ class Evidence(NamedTuple):
     returns: Array
     """(K,) returns of the scan"""
     recent: Array
-    """(K, 3) returns that scans of the last 10 m have judged: confirmed, seen through, and all"""
+    """(K, 3) returns compared with scans of the last 10 m: confirmed, seen through, and all, also those not judged"""
     cut: Array
-    """(K,) share of contradicted returns between the scans right before a keyframe and those from it on"""
+    """(K,) least share contradicted between scans right before a keyframe and from it on, less what is usual there"""
     overlap: Array
     """(K,) largest share of returns confirmed of a scan before each and one from it on, not far apart"""
     old: Array

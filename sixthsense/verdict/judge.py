@@ -21,7 +21,8 @@ _LEAST_TRAVEL_M = 2.0
 def judge(found: Witnesses) -> Verdict:
     """Whether the map of a run is right, by what the run has left behind.
 
-    A map that nothing speaks against is good if enough of its scans were compared with others; else it is not judged.
+    A map that is more likely right than wrong is good if enough of its scans were compared with others; else it is not
+    judged.
     """
     evidence, model = evidence_of(found), fitted.weights()
     features = fitted.keyframe_features(evidence)

@@ -35,9 +35,9 @@ class Verdict:
     probability: float | None
     """that the map is wrong; None if it is not judged"""
     keyframes: Array
-    """(K,) that each keyframe's pose is off by more than 0.5 m or 10 degrees relative to those 10 m before it"""
+    """(K,) probability that each keyframe's pose is off by more than 0.5 m or 10 degrees from those 10 m before it"""
     causes: tuple[Cause, ...]
-    """the likeliest first; none where the evidence tells none; of a good map what is odd with its wheels alone"""
+    """in the order of `causes_of`; none where the evidence tells none; of a good map what is odd with its wheels"""
     evidence: Mapping[str, float]
     """what was found, by name; what is not known is left out"""
     reason: str = ""
@@ -45,7 +45,7 @@ class Verdict:
 
     @property
     def cause(self) -> str:
-        """Name of the likeliest cause; empty where the evidence tells none."""
+        """Name of the first cause; empty where the evidence tells none."""
         return self.causes[0].name if self.causes else ""
 
     def __repr__(self) -> str:

@@ -27,7 +27,7 @@ BACK_M = (2.0, 5.0, 10.0)
 """travel before a keyframe at which keyframes lie that it is compared with"""
 NEXT = 3
 """keyframes before each that it is compared with, too"""
-_AROUND_M, _AROUND, _PASSES = 4.0, 40, 4  # how near places of other passes are, how many are looked at, and compared
+_AROUND_M, _AROUND, _MOST_OLD = 4.0, 40, 4  # how near places of other passes are, how many are looked at, and compared
 APART_M = 10.0
 """of travel between two passes of one place"""
 
@@ -150,7 +150,7 @@ def travelled(trajectory: Array) -> Array:
 
 
 def recent_pairs(travel: Array) -> NDArray[np.int64]:
-    """(m, 2) each keyframe behind those it is compared with on its last 10 m."""
+    """(m, 2) an earlier keyframe, and one that is compared with it, of the 10 m after it."""
     count, pairs = len(travel), []
     own = np.arange(count)
     for back in BACK_M:
@@ -164,7 +164,7 @@ def recent_pairs(travel: Array) -> NDArray[np.int64]:
 
 
 def old_pairs(trajectory: Array, travel: Array) -> NDArray[np.int64]:
-    """(m, 2) each keyframe behind the nearest one of each other pass near it, the earlier first."""
+    """(m, 2) each keyframe with the nearest ones that lie more than `APART_M` of travel apart, the earlier first."""
     count = len(trajectory)
     if count < 2 or travel[-1] - travel[0] <= APART_M:
         return np.zeros((0, 2), np.int64)
@@ -177,6 +177,6 @@ def old_pairs(trajectory: Array, travel: Array) -> NDArray[np.int64]:
     gap = np.abs(travel[np.where(is_there, near, 0)] - travel[own])
     is_old = is_there & (gap > APART_M)
     rank = np.where(is_old, np.cumsum(is_old, axis=1), 0)
-    chosen = (rank >= 1) & (rank <= _PASSES)
+    chosen = (rank >= 1) & (rank <= _MOST_OLD)
     pairs = np.stack([np.minimum(near[chosen], own[chosen]), np.maximum(near[chosen], own[chosen])], axis=1)
     return np.asarray(np.unique(pairs, axis=0), dtype=np.int64).reshape(-1, 2)

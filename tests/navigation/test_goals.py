@@ -56,10 +56,10 @@ def steer(navigator: Navigator, grid: Grid, pose: Pose, seconds: float, look_eve
     return poses
 
 
-def believed(pose: Pose) -> Estimate:
-    """An estimate with a certain pose and without landmarks."""
+def believed(pose: Pose, sigma: float = 0.0) -> Estimate:
+    """An estimate with a pose of that sigma, m and rad, and without landmarks."""
     none = np.zeros(0, dtype=np.int64)
-    return Estimate(pose, np.zeros((3, 3)), none, np.zeros((0, 2)), none.astype(np.bool_))
+    return Estimate(pose, sigma**2 * np.eye(3), none, np.zeros((0, 2)), none.astype(np.bool_))
 
 
 def xy(poses: list[Pose]) -> Array:
@@ -207,3 +207,14 @@ def test_plans_that_keep_less_than_the_margin_are_counted() -> None:
     add_walls(grid, [[[1.0, -4.0], [1.0, -0.35]], [[1.0, 0.35], [1.0, 4.0]]])
     tight.look(grid, believed(Pose()))
     assert (roomy.plans_below_margin, tight.plans_below_margin) == (0, 1)
+
+
+@pytest.mark.parametrize("radius_m", [0.12, 0.2, 0.23, 0.28])
+def test_a_way_keeps_the_wish_in_the_open_and_not_through_a_door_between_its_points(radius_m) -> None:
+    grid, way = empty_grid(), np.array([[0.0, 0.0], [3.0, 0.0]])
+    map_ = DrivingMap(radius_m, CONFIG, stays_near_seen=False)
+    map_.update(grid, believed(Pose(), 0.3))
+    assert map_.keeps_wish(way)
+    add_walls(grid, [[[1.5, -4.0], [1.5, -0.35]], [[1.5, 0.35], [1.5, 4.0]]])
+    map_.update(grid, believed(Pose(), 0.3))
+    assert not map_.keeps_wish(way) and map_.keeps_wish(way[:1])

@@ -12,7 +12,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation import make_navigator
-from sixthsense.navigation.guard import Guard, _limits, stopping_distance
+from sixthsense.navigation.guard import Guard, _contact_and_gap, stopping_distance
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Trace
@@ -62,7 +62,9 @@ def test_the_distance_to_the_first_contact_is_that_of_a_disc_moved_along_the_arc
         points = points[np.linalg.norm(points, axis=1) > RADIUS + 0.01]
         command = Command(float(rng.choice([-0.5, 0.3])), float(rng.choice([0.0, rng.uniform(-2.0, 2.0)])))
         pose = Pose(*places.uniform(-3, 3, 3))
-        contact, gap = _limits(pose @ points, pose.x, pose.y, pose.theta, command.speed, command.turn_rate, RADIUS, 0.6)
+        contact, gap = _contact_and_gap(
+            pose @ points, pose.x, pose.y, pose.theta, command.speed, command.turn_rate, RADIUS, 0.6
+        )
         expected = marched(points, command, RADIUS, 0.6)
         assert contact == pytest.approx(expected, abs=3e-3) or (min(contact, expected) > 0.59)
         ahead = points[np.sign(command.speed) * points[:, 0] > 0.0]

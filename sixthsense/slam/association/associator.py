@@ -1,9 +1,9 @@
 """Data association: which observation is of which landmark, which is new, and which landmarks to forget.
 
 A landmark begins with an observation that is far from all known ones. It is matched while its innovation, given the
-other matches of a keyframe, passes a gate. A wall is merged into an older one that lies in line with it. A landmark is
-forgotten if it is seen too rarely, if more observations that name it contradict it than agree, or if it is of a prior
-map and the map of this run shows its place free.
+other matches of a keyframe, passes a gate. A wall is merged into one in line with it that was observed more often. A
+landmark is forgotten if it is seen too rarely, if more observations that name it contradict it than agree, or if it is
+of a prior map and the map of this run shows its place free.
 
 It serves all estimators and calls only their `estimate` and `joint_covariance`.
 """
@@ -35,9 +35,9 @@ CULL_PERIOD = 25
 _PARTS = 10
 """of a wall's extent, at whose limits the map is asked"""
 _SLIP_COV = np.diag([0.5, 0.5, 0.25]) ** 2
-"""of a slip, m and rad"""
+"""covariance of a slip, m^2 and rad^2"""
 _SLIP_PRICE = 27.6
-"""twice the logarithm of how rare slips are, and places where three landmarks lie alike"""
+"""2 ln 10^6: how rare slips are, and poses from which three landmarks lie alike"""
 _ROUNDING_M = 1e-9
 """by which no extent is moved: one that lies on the edge of a cell stays there"""
 _LEAST = 3
@@ -62,7 +62,7 @@ class Associator:
         self.culled = 0
         """landmarks removed so far"""
         self.walls_merged = 0
-        """walls merged into older duplicates, not counted as culled"""
+        """walls merged into duplicates that were observed more often, not counted as culled"""
         self._crookedness = Crookedness()
         self._named_gate = float(chi_square_quantile(config.known_probability, 2))
         self._prior, self._are_free = frozenset(self.records), are_free
@@ -84,8 +84,8 @@ class Associator:
         squares = np.array([record.square_m2 for record in records])
         known = observed, belief, there, extents.reshape(-1, 2, 2), squares, self._config
         matches = match(*known)
-        if proposed is None and _shows_slip(matches):
-            # Wheels slip, and a robot is pushed. The squared innovation includes that of the slip.
+        if proposed is None and _may_have_slipped(matches):
+            # Wheels slip, and a robot is pushed. A slip pays for its size: the innovations have its covariance.
             slipped = match(*known, _SLIP_COV)
             if slipped.matched >= _LEAST and slipped.worth - _SLIP_PRICE > matches.worth:
                 matches, slip = slipped, Odometry(estimate.pose.inverse() @ slipped.pose, _SLIP_COV)
@@ -93,7 +93,7 @@ class Associator:
         for observation, i in zip(observations, matches.landmark.tolist(), strict=True):
             if i >= 0:
                 seen[i] = fused(seen[i], observation) if i in seen else observation
-        innovations, here, order = matches.innovations, matches.pose, matches.near.tolist()
+        innovations, here, order = matches.innovations, matches.pose, matches.compared.tolist()
         if proposed is not None:
             innovations, order = compare_known(seen, list(seen), estimate, estimator), list(seen)
             here = innovations.pose_given(estimate.pose, np.arange(len(order)))
@@ -118,6 +118,7 @@ class Associator:
         misread = set(old) - {old[k] for k in kept}
         nis = innovation.nis([observations[old[k]] for k in kept], kept)
         accepted = {i: observation for i, observation in observations.items() if i not in misread}
+        self._next_id = max(self._next_id, 1 + max(accepted, default=-1))
         for i in misread:
             self.records[i].misread += 1
         for i, observation in accepted.items():
@@ -130,7 +131,7 @@ class Associator:
         """Landmarks to forget after an update, whose estimate is given.
 
         Those of which more observations were misread than not; once a period also those that were seen too rarely, that
-        duplicate an older wall, or are of a prior map and no longer there.
+        duplicate a wall that was observed more often, or are of a prior map and no longer there.
         """
         self._move_extents(estimate)
         is_due, merged = self._scan % CULL_PERIOD == 0, list[LandmarkId]()
@@ -157,7 +158,7 @@ class Associator:
     def _look(
         self, seen: ByLandmark, innovations: Innovations, places: Indices, here: Pose, estimate: Estimate
     ) -> None:
-        """Record what was seen of known landmarks from the pose `here`, and learn how crooked walls are seen anew.
+        """Record what was seen of known landmarks from the pose `here`, and how crooked their new stretches are.
 
         `places` (n,) are those of the landmarks in the innovations.
         """
@@ -206,10 +207,10 @@ class Associator:
         return gone
 
     def _merged(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
-        """Walls that duplicate an older wall.
+        """Walls that duplicate a wall that was observed more often; of two alike the first one stays.
 
         Two walls are one when they lie in line, without a gap, and their difference passes the gate of a match. The
-        younger wall's information about the poses stays in the estimate; that both are one is not added to it.
+        removed wall's information about the poses stays in the estimate; that both are one is not added to it.
         """
         kept = estimate.walls & np.isin(estimate.ids, list(self.records))  # some may just have been forgotten
         ids, walls = estimate.ids[kept].tolist(), estimate.landmarks[kept]
@@ -226,17 +227,17 @@ class Associator:
             joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]
             if disagreement(walls[j], walls[k], difference_covariance(joint, 0, 1)) > self._config.match_gate:
                 continue
-            young, old = sorted((j, k), key=lambda n: (records[n].observations, -ids[n]))
-            records[old].extent = joined(walls[old], records[old].extent, records[young].extent)
-            records[old].observations += records[young].observations
-            del self.records[ids[young]]
-            gone.append(ids[young])
+            rarer, stays = sorted((j, k), key=lambda n: (records[n].observations, -ids[n]))
+            records[stays].extent = joined(walls[stays], records[stays].extent, records[rarer].extent)
+            records[stays].observations += records[rarer].observations
+            del self.records[ids[rarer]]
+            gone.append(ids[rarer])
         self.walls_merged += len(gone)
         return gone
 
 
-def _shows_slip(matches: Matches) -> bool:
-    """Whether a scan shows landmarks, and hardly one of them where it is believed to be."""
+def _may_have_slipped(matches: Matches) -> bool:
+    """Whether a slip is tried: fewer than two observations match, or most are neither matched nor new."""
     shown = len(matches.landmark)
     neither = shown - matches.matched - int(np.count_nonzero(matches.is_new))
     return shown >= _LEAST and (matches.matched < _LEAST - 1 or 2 * neither > shown)

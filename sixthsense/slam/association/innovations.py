@@ -148,7 +148,7 @@ class Matches(NamedTuple):
     """(m,) id; -1: none"""
     is_new: Mask
     """(m,)"""
-    near: Indices
+    compared: Indices
     """(k,) ids of the landmarks that were compared"""
     innovations: Innovations
     """against these"""
@@ -205,9 +205,9 @@ def match(
 
 
 def _without_lone_one(observed: Observed, innovations: Innovations, found: Indices, cfg: AssociationConfig) -> Indices:
-    """(m,) the matches without one that alone, of all, is of a landmark whose gate is wider than landmarks are apart.
+    """(m,) the matches without those of walls whose gate is wider than walls are apart, if all these are of one wall.
 
-    A gate as wide as that holds other landmarks, too. One such match closes no loop; two that agree do.
+    A gate as wide as that holds other walls, too. One such wall closes no loop; two that agree do.
     """
     walls = np.flatnonzero((found >= 0) & observed.walls)
     variances = offset_variance(innovations.own[found[walls]], observed.extents[walls].mean(axis=1))
@@ -225,7 +225,7 @@ def _new_ones(is_matched: Mask, is_far: Mask, is_apart: Mask) -> Mask:
     """
     contradicting = np.count_nonzero(~is_matched & ~(is_far & is_apart))
     # Where most of the scan matches, a landmark may be beside a known one, as the other face of a thin wall and its end
-    # are; else these show that the pose is wrong.
+    # are; else those that do not match show that the pose is wrong.
     return is_far & (is_apart | (np.count_nonzero(is_matched) > contradicting))
 
 

@@ -26,7 +26,7 @@ SQUARES_M2 = 1e-6 * np.array([0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])
 _STRAIGHT, _ANY = 5.0, 0.002
 """walls without any deviation, and with one of any size, that the prior of a building begins with"""
 _ALIKE = 0.2
-"""share of what was seen of a wall that two looks have in common, above which their errors are the same"""
+"""intersection over union of the stretches of two looks from which on their errors are the same"""
 _PAUSE = 25
 """keyframes without a look, after which the next one is from elsewhere"""
 _MOST_LOOKS = 16
@@ -40,7 +40,7 @@ class Association:
     observations: ByLandmark = field(default_factory=dict)
     """those to update with; an id that the estimator does not know is a new landmark"""
     discarded: int = 0
-    """observations that are too far for a match and too near for a new landmark"""
+    """observations too far for a match and too near for a new landmark, or beside another new point"""
     nis: float = 0.0
     """normalised innovation squared of all matches together, before the update"""
     dof: int = 0
@@ -70,7 +70,7 @@ class Record:
     square_m2: float = field(default=0.0, compare=False)
     """posterior mean of the variance of a wall's deviation from a straight one; not recorded"""
     looks: int = field(default=1, compare=False)
-    """at the stretch of the wall that is in view, from the first one on, `stretch`; not recorded"""
+    """at the stretch of the wall that is in view, from the first one on, `_MOST_LOOKS` at most; not recorded"""
     stretch: Array = field(default_factory=lambda: np.zeros((2, 2)), repr=False, compare=False)
     """(2, 2) ends of what was seen of a wall then, world frame; not recorded"""
     misread: int = field(default=0, compare=False)

@@ -54,10 +54,10 @@ class ScanFrontEnd:
     def __init__(self, setup: FrontEndSetup) -> None:
         """Begin at the start; InputError for an estimator that is no `Smoother`."""
         config, estimator, self.pose, _, self._sources, self._clock = setup
+        """`T_world_robot` of the last scan, and the odometry since"""
         if not isinstance(estimator, Smoother):
             raise InputError("front_end", f"found scan-matching with {config.estimator}", KEEP_POSES)
         self._config, self._estimator = config, estimator
-        """`T_world_robot` of the last scan, and the odometry since"""
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
         self.loop_closures = LoopClosures(config.scans, self._graph, place_search_of(config))
@@ -104,12 +104,12 @@ class ScanFrontEnd:
             return None
         self._mount = scan.T_robot_laser.triple()
         with self._clock("track"):
-            known, tracked = self._tracked(scan)
-        # An aligned scan is no reason to forget what wheels have measured.
+            expectation, tracked = self._tracked(scan)
+        # Between keyframes the motion stays that of the wheels; one that nothing has measured becomes the aligned one.
         found = source.aligned(self._since, self._found(tracked)) if isinstance(source, LastVelocity) else self._since
         moved = self._T_key_world @ self.pose
-        if not (self._is_carried or known is None or is_due(moved, self._since, self._config.keyframes)):
-            self._since = found
+        if not (self._is_carried or expectation is None or is_due(moved, self._since, self._config.keyframes)):
+            self._since, self._last = found, self._last._replace(since=found.motion.triple())
             if self._config.scans.final_pass:
                 self._scans.append(TrackedScan(dataclasses.replace(scan), self.newest, self._since, moved))
             return None
@@ -119,7 +119,7 @@ class ScanFrontEnd:
         predicted = self._estimator.estimate()
         with self._clock("update"):
             self._estimator.update({})
-            key = self._kept(known, tracked)
+            key = self._kept(expectation, tracked)
         with self._clock("link"):
             self._graph.link(key, self._graph.near_linked(key), self.loop_closures.latest, is_new=True)
         if self._config.scans.loop_closures:
@@ -172,26 +172,28 @@ class ScanFrontEnd:
             return None, None
         graph, source, since = self._graph, self._sources.present, self._since.motion.triple()
         cov = source.for_tracking(self._since).cov
-        known = expected(graph.poses[-1], self._last, self._mount, since, cov, self._noise.factors)
+        expectation = expected(graph.poses[-1], self._last, self._mount, since, cov, self._noise.factors)
         if self._is_carried:
-            return known, None
+            return expectation, None
         latest = range(max(graph.first, row - LINKS), row)
         # One that fitted nothing may have been seen from elsewhere than the wheels say: the next ones look past it.
         recent = ([key for key in latest if key not in self._lost] or list(latest))[1 - TARGETS :]
         targets = np.array([*recent, *graph.linked_old(recent[-1], recent[-1])[:1]])
         views = Views(self._store.returns, row, targets, graph.poses[targets], graph.factor())
-        tracked = track(views, known.prior, known.starts, graph.usual, source.is_guess)
+        tracked = track(views, expectation.prior, expectation.starts, graph.usual, source.is_guess)
         if tracked.is_lost:
             near = of_last_metres(graph.travelled_m, self.newest)
             wide = views._replace(targets=near, at=graph.poses[near])
-            tracked = max(tracked, search(wide, known.prior, graph.usual, source.is_guess), key=lambda t: t.log_odds)
-        at = known.starts[0] if tracked.is_lost else tracked.pose
+            tracked = max(
+                tracked, search(wide, expectation.prior, graph.usual, source.is_guess), key=lambda t: t.log_odds
+            )
+        at = expectation.starts[0] if tracked.is_lost else tracked.pose
         self._last = LastScan(at, since, between(triple(self._last.pose), triple(at)))
         if tracked.is_lost:
-            return known, None
+            return expectation, None
         graph.usual = tracked.usual(graph.usual)
         self.pose = Pose.from_array(at) @ Pose(*inverse(self._mount))
-        return known, tracked
+        return expectation, tracked
 
     def _found(self, tracked: Tracked | None) -> Odometry | None:
         """The motion of the robot since the last keyframe as tracked."""
@@ -205,7 +207,7 @@ class ScanFrontEnd:
     def _motion(self, tracked: Tracked | None, moved: Pose) -> Odometry:
         """The motion since the last keyframe: by odometry, or as tracked, `moved`, with the covariance of a slip.
 
-        Where the scans say that the wheels have slipped, the wheels are no evidence. The links are.
+        Where the scans say that the wheels have slipped, the links alone tell the motion.
         """
         if self._is_carried or not self._store.count:
             return self._since
@@ -220,14 +222,14 @@ class ScanFrontEnd:
         """The motion since the last keyframe by odometry, with the errors that the run has shown its wheels to have."""
         if self._since.is_standstill():
             return self._since
-        motion, factors = self._sources.present.for_estimator(self._since), self._noise.factors
-        return Odometry(motion.motion, motion.cov * np.outer(factors, factors), motion.wheels)
+        motion = self._sources.present.for_estimator(self._since)
+        return Odometry(motion.motion, motion.cov * self._noise.factors, motion.wheels)
 
-    def _kept(self, known: Expected | None, tracked: Tracked | None) -> int:
+    def _kept(self, expectation: Expected | None, tracked: Tracked | None) -> int:
         """Keep the newest scan as the keyframe whose pose was added; its index."""
         graph, key = self._graph, self._store.keep()
-        if known is not None and tracked is not None and not self._sources.present.is_guess:
-            self._noise.update(known.stated, tracked.off, tracked.cov, float(known.prior.pose[2]))
+        if expectation is not None and tracked is not None and not self._sources.present.is_guess:
+            self._noise.update(expectation.stated, tracked.off, tracked.cov, float(expectation.prior.pose[2]))
         mount, is_carried, self._is_carried = np.array(self._mount), self._is_carried, False
         if is_carried:
             graph.first = key
@@ -235,8 +237,8 @@ class ScanFrontEnd:
             self._lost.add(key)
         graph.mount = mount
         graph.add(compose(self._estimator.poses_at([key])[0], mount) if tracked is None else tracked.pose)
-        if known is not None:
-            cov = inverse_covariance(known.prior.information) if tracked is None else tracked.cov
+        if expectation is not None:
+            cov = inverse_covariance(expectation.prior.information) if tracked is None else tracked.cov
             if tracked is not None and tracked.has_slipped:
                 half = 0.5 * tracked.off  # of the distance of the scans from the wheels is doubted
                 cov = cov + np.outer(half, half)

@@ -104,8 +104,10 @@ class ScanGraph(PlacedScans):
         self.estimator, self._sigma_m = estimator, sigma_m
         self.mount = np.zeros(3)
         """(3,) `T_robot_laser`"""
-        self.links: Rows = np.zeros(0, LINK)
-        """those that the estimator has, rows of `LINK`"""
+        self._rows: Rows = np.zeros(0, LINK)
+        """the links, and rows without meaning behind them"""
+        self.links = self._rows
+        """those that the estimator has, rows of `LINK`; a view"""
         self._old = np.zeros((0, 2), np.int64)
         """(n, 2) ends of the links to old keyframes"""
         self.first = 0
@@ -158,7 +160,7 @@ class ScanGraph(PlacedScans):
         measured = zip(given.ends.tolist(), given.motions.tolist(), given.covs, strict=True)
         links = [Link(a, b, Odometry(Pose(*motion), cov), loss) for (a, b), motion, cov in measured]
         rows["id"] = self.estimator.link(links)
-        self._set(_joined(self.links, rows))
+        self._append(rows)
         if closes or self.count - self._refreshed >= PERIOD:
             self.refresh()
             return
@@ -169,18 +171,26 @@ class ScanGraph(PlacedScans):
     def remove(self, which: NDArray[np.bool_]) -> None:
         """Take some of the links back."""
         self.estimator.unlink(self.links["id"][which].tolist())
-        self._set(self.links[~which])
+        self._keep(~which)
         self.refresh()
 
     def take_out(self, keys: list[int]) -> None:
         """Take keyframes out of the estimator's graph, with their links."""
         lost = self.estimator.take_out(keys)
         self._keyframes["is_out"][keys] = True
-        self._set(self.links[~np.isin(self.links["id"], lost)])
+        self._keep(~np.isin(self.links["id"], lost))
         self.refresh()
 
-    def _set(self, links: Rows) -> None:
-        self.links, self._old = links, np.ascontiguousarray(links["ends"][links["is_old"]])
+    def _append(self, links: Rows) -> None:
+        count, self._old = len(self.links) + len(links), np.concatenate([self._old, links["ends"][links["is_old"]]])
+        if count > len(self._rows):
+            self._rows = _joined(self.links, np.zeros(count, LINK))
+        self._rows[len(self.links) : count] = links
+        self.links = self._rows[:count]
+
+    def _keep(self, which: NDArray[np.bool_]) -> None:
+        self.links = self._rows = self.links[which]
+        self._old = np.ascontiguousarray(self.links["ends"][self.links["is_old"]])
 
     def robot_links(self, links: Rows) -> PoseLinks:
         """Links, between poses of the robot."""

@@ -82,7 +82,7 @@ class LoopClosures:
         self._graph.moved(travel_m, position + _DRIFT_M**2 * travel_m, heading + _DRIFT_RAD**2 * travel_m)
 
     def look(self, key: int) -> None:
-        """From time to time, link the newest keyframe to old ones around it, and look for a loop closure."""
+        """Every 0.6 m of travel link the newest keyframe to old ones and search for a loop closure; thin the graph."""
         graph = self._graph
         travelled_m = float(graph.travelled_m[key])
         if travelled_m - self._looked_m >= _PERIOD_M:

@@ -61,11 +61,11 @@ _MEMORY = 200.0  # motions that are remembered
 
 
 class WheelNoise:
-    """Factors on the sigmas of wheels in general."""
+    """Factors on the covariance of wheels in general."""
 
     def __init__(self) -> None:
-        self.factors = np.ones(3)
-        """(3,) on the sigmas of (x, y, theta)"""
+        self.factors = np.ones((3, 3))
+        """(3, 3) on the covariance of (x, y, theta)"""
         self._variances = np.ones(2)
         """of position and heading, over those of the model"""
         self._count = PRIOR_COUNT
@@ -83,7 +83,8 @@ class WheelNoise:
         totals, dimensions = np.array([position, turn]), np.array([2.0, 1.0])
         weights = (FREEDOM + dimensions) / (FREEDOM + totals / self._variances)
         self._variances += (weights * totals / dimensions - self._variances) / (self._count + 1.0)
-        self.factors = np.sqrt(self._variances[[0, 0, 1]])
+        sigmas = np.sqrt(self._variances[[0, 0, 1]])
+        self.factors = np.outer(sigmas, sigmas)
         self._count = min(self._count + 1.0, _MEMORY)
 
 
@@ -114,13 +115,13 @@ def expected(key: Array, last: LastScan, mount: Triple, since: Triple, cov: Arra
     """Compute what is known of the newest scan's pose by the odometry since the last keyframe.
 
     `key` (3,) is the keyframe's `T_world_laser`, `since` the robot's motion from there, `cov` (3, 3) its covariance by
-    wheels in general, `factors` (3,) are on the sigmas of the wheels of this run, and `mount` is `T_robot_laser`.
+    wheels in general, `factors` (3, 3) are on it by the wheels of this run, and `mount` is `T_robot_laser`.
     """
     back, before = inverse(mount), triple(last.pose)
     own = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            own[i, j] = cov[i, j] * (factors[i] * factors[j])
+            own[i, j] = cov[i, j] * factors[i, j]
     pose = np.array(compose(triple(key), conjugate(back, since)))
     information = inverse_covariance(move_covariance((0.0, 0.0, pose[2]), move_covariance(back, own)))
     step = conjugate(back, compose(inverse(last.since), since))
@@ -173,9 +174,9 @@ def track(views: Views, prior: Prior, starts: Array, usual: Usual, is_guess: boo
     """The likeliest pose of a scan among keyframes.
 
     `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. The pose from there is taken if
-    the wheels allow it and no more than usually is contradicted, and otherwise that from the prior's own pose, held by
-    the prior: someone who walks ahead in a corridor is seen where he was, and nothing else holds the scan. Then all
-    starts are tried with a wide gate and little weight of the odometry. `is_guess` is whether nothing has measured the
+    it `_is_usual`, and otherwise that from the prior's own pose, held by the prior, if that is: someone who walks ahead
+    in a corridor is seen where he was, and nothing else holds the scan. Else it is the likeliest of these and of those
+    from all starts with a wide gate and little weight of the odometry. `is_guess` is whether nothing has measured the
     prior.
     """
     best = tracked_at(views, prior, prior, starts[0], NEAR_GATE_M, usual, is_guess)

@@ -65,3 +65,12 @@ def test_a_name_that_is_misread_in_every_picture_moves_neither_robot_nor_landmar
     assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks)
     drive.look(START, {3: 3})
     assert drive.associator.culled == 0
+
+
+def test_a_landmark_without_a_name_gets_an_id_that_no_name_has():
+    drive = Drive("ekf-invariant")
+    drive.look(START, {0: 3, 4: 5})
+    found = drive.associator.associate(
+        [Observation(Kind.CORNER, np.array([-3.0, 2.0]), SIGMA**2 * np.eye(2))], drive.estimator
+    )
+    assert list(found.observations) == [5] and sorted(drive.associator.records) == [0, 4, 5]
