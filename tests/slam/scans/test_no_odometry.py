@@ -11,6 +11,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.motion_source import LastVelocity, scan_clock
+from sixthsense.slam.scans import front_end, tracking
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(no_odometry=True)
@@ -38,6 +39,19 @@ def test_a_drive_is_tracked_without_its_odometry(start, goals, walls):
     _, steps = run(poses, walls)
     off = steps - np.array([pose.array() for pose in poses])
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.1 and np.abs(wrap_angle(off[:, 2])).max() < 0.03
+
+
+def test_a_scan_is_aligned_from_where_the_velocity_takes_the_last_one(monkeypatch):
+    expectations = []
+
+    def kept(*words):
+        expectations.append(tracking.expected(*words))
+        return expectations[-1]
+
+    monkeypatch.setattr(front_end, "expected", kept)
+    run(drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2)]), ROOM)
+    starts = np.array([each.starts[0] - each.prior.pose for each in expectations])
+    assert len(starts) > 50 and np.abs(starts).max() < 1e-6
 
 
 def test_a_gap_of_the_clock_is_bridged():
