@@ -92,11 +92,8 @@ class Exploration:
         if event == "looked":
             self._history.add(pose, map_.estimate.pose_cov, self._sees_walls(map_.clearance, pose))
         if self.outcome is None:
-            react = {
-                "viewing": self._view, "closing a loop": self._close_loop, "waiting": self._wait,
-                "going home": self._go_home,
-            }  # fmt: skip
-            react[self.state](map_, pose, event)
+            react = {"viewing": self._view, "closing a loop": self._close_loop, "waiting": self._wait}
+            react.get(self.state, self._go_home)(map_, pose, event)
         return self._goal if self.outcome is None else None
 
     def _view(self, map_: DrivingMap, pose: Pose, event: Event) -> None:
