@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
-from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
 
 from sixthsense.config import load_config
 from sixthsense.config.errors import InputError
@@ -29,8 +27,6 @@ MOST_FRAMES = 150
 
 _FRAMES_PER_S, _HELD, _DPI = 12.5, 20, 100  # the last frame is repeated so many times
 _WIDTH_IN, _COLUMNS = 8.0, 4  # of the legend
-_MOST_CELLS = 800  # on a side; a frame has no more pixels to show them with
-_CELLS = ListedColormap(["#FFFFFF00", plot.SEEN, plot.OBSERVATION])
 
 _DOT: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 2.2, "markeredgewidth": 0.0, "zorder": 5}
 _LINES: dict[str, dict[str, Any]] = {
@@ -43,7 +39,6 @@ _LINES: dict[str, dict[str, Any]] = {
     "tour": {**_DOT, "linestyle": "-", "linewidth": 0.6, "color": plot.PLAN, "label": "tour of views"},
     "truth": {"linewidth": 1.1, "linestyle": (0, (4, 4)), "color": plot.TRUTH, "label": "true path", "zorder": 8},
     "path": {"linewidth": 1.4, "color": plot.ESTIMATE, "label": "estimated path", "zorder": 7},
-    "heading": {"linewidth": 1.4, "color": plot.WALL, "zorder": 10},
 }
 """style of each line of a frame, by name"""
 
@@ -81,9 +76,9 @@ def animate(
     check_film(file, finished)
     file, config = Path(file), load_config(Path(folder) / "config.toml")
     log, (messages, _) = read_run(folder, config.laser), read_messages(Path(folder) / FILE)
-    plans, tours = paths_of(messages, "plan"), paths_of(messages, "tour")
+    paths = {name: paths_of(messages, name) for name in ("plan", "tour")}
     file.parent.mkdir(parents=True, exist_ok=True)
-    figure, ax = _stage(finished, title, bool(tours))
+    figure, ax = _stage(finished, title, bool(paths["tour"]))
     due = set(np.linspace(0, len(finished.stamps_ns) - 1, max(frames, 2)).round().astype(int).tolist())
     writer: Any = PillowWriter(fps=_FRAMES_PER_S)  # type: ignore[arg-type]
     if file.suffix.lower() == ".mp4":  # whose index at the beginning lets a browser play it at once
@@ -91,7 +86,7 @@ def animate(
 
     def show(tick: Tick, trace: Trace) -> None:
         if (tick.scan is not None or tick.observations is not None) and len(trace.stamps_ns) - 1 in due:
-            _draw(ax, finished, trace, tick, _latest(plans, tick.stamp_ns), _latest(tours, tick.stamp_ns))
+            _draw(ax, finished, trace, tick, {name: _latest(made, tick.stamp_ns) for name, made in paths.items()})
             writer.grab_frame()
             on_frame()
 
@@ -107,71 +102,54 @@ def animate(
 def _stage(finished: Trace, title: str, has_tours: bool) -> tuple[Any, Any]:
     """The figure of a film and its axes, with limits, a legend, and a layout that stays."""
     shown = {
-        "walls": finished.scene, "people": finished.walkers, "frontiers": _explores(finished), "plan": finished.plans,
-        "tour": has_tours, "truth": finished.truths,
+        "walls": finished.scene, "people": finished.walkers, "frontiers": finished.config.task == "explore",
+        "plan": finished.plans, "tour": has_tours, "truth": finished.truths,
     }  # fmt: skip
     figure: Any = plot.new_figure(_WIDTH_IN, _WIDTH_IN)
     ax: Any = figure.add_subplot()
     plot.draw_map(ax, finished)
-    _cleared(ax, " ")
+    ax.set_autoscale_on(False)
+    ax.set_title(" ", loc="left", fontsize=10)
     lines = [Line2D([], [], **style) for name, style in _LINES.items() if "label" in style and shown.get(name, True)]
     figure.legend(handles=lines, loc="outside lower center", ncols=_COLUMNS, frameon=False, fontsize=9)
     figure.suptitle(title, fontsize=11)
     # H.264 requires an even number of pixels.
     height = plot.map_height(ax, _WIDTH_IN) + 0.2 * (-(-len(lines) // _COLUMNS) - 1)
     figure.set_size_inches(_WIDTH_IN, 2.0 * round(0.5 * height * _DPI) / _DPI)
-    figure.set_dpi(_DPI)
     figure.canvas.draw()
     figure.set_layout_engine("none")  # the layout is settled: a caption's length must not move the axes
     return figure, ax
 
 
-def _cleared(ax: Any, title: str) -> None:
-    """Remove what is drawn, and keep the limits."""
-    limits = ax.get_xlim(), ax.get_ylim()
-    ax.clear()
-    ax.set_title(title, loc="left", fontsize=10)
-    ax.set(xlim=limits[0], ylim=limits[1], autoscale_on=False)
-    plot.label_plane(ax)
-
-
-def _explores(finished: Trace) -> bool:
-    """Whether the run looks for frontiers, in a scene whose region is known."""
-    return finished.config.task == "explore" and finished.scene is not None
-
-
-def _draw(ax: Any, finished: Trace, trace: Trace, tick: Tick, plan: Array, tour: Array) -> None:
-    """Draw the trace's newest tick, with the plan and tour (N, 2) of then, world frame."""
+def _draw(ax: Any, finished: Trace, trace: Trace, tick: Tick, shown: dict[str, Array]) -> None:
+    """Draw the newest tick in place of the one before; `shown` has plan and tour (N, 2) of then, world frame."""
     grid, live = trace.draw_map(), trace.live
     assert grid is not None and live is not None
     pose, area_m2 = Pose.from_array(trace.estimates[-1]), grid.seen_area_m2
     parts = [f"{seconds(tick.stamp_ns - trace.stamps_ns[0]):7.1f} s", *([f"{area_m2:.0f} m² seen"] if area_m2 else [])]
     parts += [f"{len(trace.key_estimates[-1].ids)} landmarks"] if trace.key_estimates else []
-    _cleared(ax, " · ".join(parts))
-    if (known := plot.known_blocks(trace, _MOST_CELLS)) is not None:
-        cells = np.select([known[0] == 100, known[0] == 0], [2, 1], 0)
-        style = {"origin": "lower", "interpolation": "nearest", "zorder": 0}
-        ax.imshow(cells, cmap=_CELLS, vmin=0, vmax=2, extent=known[1], **style)
+    for artist in (*ax.lines, *ax.collections, *ax.images, *ax.patches):
+        artist.remove()
+    ax.set_title(" · ".join(parts), loc="left", fontsize=10)
+    plot.draw_grid(ax, trace, plot.SEEN, plot.OBSERVATION)
     if finished.scene is not None:
         plot.draw_segments(ax, finished.scene.walls, colors=plot.WALL, linewidths=1.6, zorder=1)
     if finished.walkers:
         people = plot.walker_outlines(finished.walkers[len(trace.estimates) - 1])
         plot.draw_segments(ax, np.array(people), colors=plot.WALKER, zorder=8)
     plot.draw_landmarks(ax, trace)
-    shown = {"plan": plan, "path": np.array(trace.estimates)[:, :2]}
-    shown["heading"] = np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])])
+    shown["path"] = np.array(trace.estimates)[:, :2]
     if live.scan is not None:
         shown["returns"] = pose @ live.scan.returns_robot
-    if _explores(finished):
+    if trace.config.task == "explore":
         shown["frontiers"] = plot.frontiers(trace)
-    if len(tour):
-        shown["tour"] = np.vstack([pose.position, tour[1:]])
+    if len(shown["tour"]):
+        shown["tour"] = np.vstack([pose.position, shown["tour"][1:]])
     if trace.truths:
         shown["truth"] = np.array(trace.truths)[:, :2]
     for name, points in shown.items():
         ax.plot(*points.T, **_LINES[name])
-    style = {"facecolor": "white", "edgecolor": plot.WALL, "linewidth": 1.4, "zorder": 9}
-    ax.add_patch(Circle((pose.x, pose.y), trace.radius_m, **style))
+    ax.fill(*plot.outline(pose, trace.radius_m).T, facecolor="white", edgecolor=plot.WALL, linewidth=1.4, zorder=9)
 
 
 def _latest(paths: Sequence[tuple[int, Array]], stamp_ns: int) -> Array:

@@ -80,21 +80,22 @@ def known_blocks(
     return blocks, (left, left + width * side * cell_m, bottom, bottom + height * side * cell_m)
 
 
-def draw_grid(ax: Any, trace: Trace, obstacle_shade: float) -> Array:
-    """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white.
+def draw_grid(ax: Any, trace: Trace, seen: str, obstacle: str) -> Array:
+    """Draw the grid, if the trace has one: seen cells and obstacles in these colours, others transparent.
 
     Returns places of the obstacles, (N, 2).
     """
+    from matplotlib.colors import ListedColormap
+
     # Matplotlib takes some 20 bytes for each cell that it is given, 100 where it interpolates colours, and shows
     # no more than there are pixels.
     known = known_blocks(trace, _MOST_BLOCKS)
     if known is None:
         return np.zeros((0, 2))
     cells, (left, right, bottom, top) = known
-    shades = np.array([obstacle_shade, 0.94, 1.0], dtype=np.float32)
-    shade = np.select([cells == 100, cells == 0], shades[:2], shades[2])
+    shown = np.select([cells == 100, cells == 0], [2, 1], 0).astype(np.uint8)
     style = {"origin": "lower", "interpolation": "nearest", "interpolation_stage": "data", "zorder": 0}
-    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=known[1], **style)
+    ax.imshow(shown, cmap=ListedColormap(["none", seen, obstacle]), vmin=0, vmax=2, extent=known[1], **style)
     sides = (right - left) / cells.shape[1], (top - bottom) / cells.shape[0]
     return np.asarray((left, bottom) + np.argwhere(cells == 100)[:, ::-1] * sides)
 
@@ -145,11 +146,15 @@ def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
     ax.scatter(points[:, 0], points[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
 
 
-def walker_outlines(poses: Array) -> list[Array]:
-    """A line (33, 2) per person at (N, 3) poses: the circle of the body, from the middle by where it looks to."""
+def outline(pose: Pose, radius_m: float) -> Array:
+    """A line (33, 2): the circle of a round body, from its middle by where it looks to."""
     angle = np.linspace(0.0, 2.0 * math.pi, 32)
-    circle = np.vstack([np.zeros((1, 2)), BODY_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
-    return [Pose.from_array(pose) @ circle for pose in poses]
+    return pose @ np.vstack([np.zeros((1, 2)), radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
+
+
+def walker_outlines(poses: Array) -> list[Array]:
+    """The outline (33, 2) of each person at (N, 3) poses."""
+    return [outline(Pose.from_array(pose), BODY_M) for pose in poses]
 
 
 def draw_walkers(ax: Any, trace: Trace) -> None:
@@ -173,7 +178,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
     Without walls, as from scan matching, the grid's obstacles are dark, and the path is that of the final poses.
     """
     found = walls_found(trace, trace.trajectory)
-    obstacles = draw_grid(ax, trace, 0.7 if len(found) else 0.2)
+    obstacles = draw_grid(ax, trace, "0.94", "0.7" if len(found) else "0.2")
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="true walls", zorder=1)
     # The more scans, the fainter their walls, so that thousands of them do not hide everything else.

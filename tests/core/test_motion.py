@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sixthsense.config import AssumedConfig, MotionNoise
+from sixthsense.core.arcs import arc_jacobian
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import Odometry, draw, odometry, rk4, variance
 from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms
@@ -25,6 +26,15 @@ def test_rk4_follows_the_circle(v, w, t):
     found, exact = rk4(Pose(), v, w, t, 0.01), exact_arc(v, w, t)
     assert math.dist(found.position, exact.position) < 1e-9
     assert abs(wrap_angle(found.theta - exact.theta)) < 1e-9
+
+
+@pytest.mark.parametrize(("distance", "turn"), [(0.25, 0.026), (-0.4, 1.1), (0.3, 0.0), (0.0, 0.7), (1.0, 1e-6)])
+def test_the_jacobian_of_an_arc_agrees_with_finite_differences(distance, turn):
+    h, back = 1e-6, rk4(Pose(), distance, turn, 1.0, 1e-2).inverse()
+    for column, (d, a) in enumerate(((h, 0.0), (0.0, h))):
+        ahead, behind = (rk4(Pose(), distance + k * d, turn + k * a, 1.0, 1e-2) for k in (1, -1))
+        off = (back @ ahead).array() - (back @ behind).array()
+        np.testing.assert_allclose(arc_jacobian(distance, turn)[:, column], off / (2 * h), atol=1e-8)
 
 
 @pytest.mark.parametrize("distribution", ["gaussian", "uniform"])

@@ -136,5 +136,5 @@ def test_the_map_has_the_covariance_of_each_point_and_the_extent_of_the_known_bl
     cell = TRACE.config.grid.cell_m
     assert shown.shape == (3, 7) and shown[1, 1] == 100
     assert extent == pytest.approx((-2.3 + 3 * cell, -2.3 + 10 * cell, 1.7 + 2 * cell, 1.7 + 5 * cell))
-    obstacles = plot.draw_grid(Figure().add_subplot(), dataclasses.replace(TRACE, grid=grid), 0.2)
+    obstacles = plot.draw_grid(Figure().add_subplot(), dataclasses.replace(TRACE, grid=grid), "0.9", "0.2")
     assert obstacles == pytest.approx(np.array([[-2.3 + 4 * cell, 1.7 + 3 * cell]]))

@@ -17,8 +17,11 @@ from processes import start, wait_until
 
 import sixthsense as ss
 from sixthsense.cli import main
+from sixthsense.live.network import Network, Node
+from sixthsense.live.publishing import MAP, POSE, TF, VERDICT
 from sixthsense.logs.ros_messages import stamp_ns
 from sixthsense.record.folder import has_record, reason_not_a_run
+from sixthsense.record.messages import Messages
 from sixthsense.running.warmup import warm_up
 
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
@@ -51,6 +54,7 @@ simulated.SimulatedRobot = OddRobot
 PARTS = Path(__file__).parents[2] / "docs" / "howto" / "parts"
 DOMAIN = str(20 + os.getpid() % 40)
 TRUTH = ("--seed", "1", "--truth", "truth.tum")
+DRIVE = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
 
 
 @pytest.fixture(autouse=True)
@@ -84,31 +88,14 @@ def truth_of(file: Path) -> np.ndarray:
 
 def heard(live: subprocess.Popen[str]) -> dict[str, list[Any]]:
     """What a live run publishes until it ends, by topic."""
-    from sixthsense.live.network import Network, Node
-    from sixthsense.live.publishing import MAP, POSE, TF, VERDICT
-    from sixthsense.record.messages import Messages
-
-    topics = (MAP, POSE, TF, VERDICT)
-    store, found = Messages().store, {topic.name: [] for topic in topics}
+    make, found = Messages(), {topic.name: [] for topic in (MAP, POSE, TF, VERDICT)}
     with Node(Network(int(DOMAIN))) as node:
-        readers = [(topic, node.reader(topic)) for topic in topics]
+        readers = [node.reader(topic) for topic in (MAP, POSE, TF, VERDICT)]
         while live.poll() is None:
             node.wait(0.05)
-            for topic, reader in readers:
-                found[topic.name] += [store.deserialize_cdr(data, topic.type) for data in reader.take()]
+            for one in readers:
+                found[one.topic.name] += [make.store.deserialize_cdr(data, one.topic.type) for data in one.take()]
     return found
-
-
-def check_published(published: dict[str, list[Any]], trace: Any) -> None:
-    """Poses are those of the record at the stamps of the scans, there is a map with walls, and it is told good."""
-    by_stamp = dict(zip(trace.stamps_ns, trace.estimates, strict=True))
-    assert len(published["/pose"]) > 20 and len(published["/tf"]) > 20
-    for message in published["/pose"]:
-        at = message.pose.pose.position
-        assert (at.x, at.y) == tuple(by_stamp[stamp_ns(message)][:2])
-    assert set(np.unique(published["/map"][-1].data)) == {-1, 0, 100}
-    told = [status for message in published["/diagnostics"] for status in message.status]
-    assert 5 <= len(told) <= 10 and {status.level for status in told} == {0}  # once a second
 
 
 def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays_it(here, _compiled):
@@ -124,8 +111,13 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
     assert live.returncode == 0 and "written to x/" in out
     assert "dropped: scan" in err and "scan twice" in err
     trace = ss.load(here / "x").trace
-    check_published(published, trace)
     assert trace.outcome == "time is up" and len(trace.stamps_ns) > 40
+    by_stamp = dict(zip(trace.stamps_ns, trace.estimates, strict=True))
+    at = [(tuple(by_stamp[stamp_ns(one)][:2]), one.pose.pose.position) for one in published["/pose"]]
+    assert len(at) > 20 and len(published["/tf"]) > 20 and all(pose == (p.x, p.y) for pose, p in at)
+    assert set(np.unique(published["/map"][-1].data)) == {-1, 0, 100}
+    told = [status.level for message in published["/diagnostics"] for status in message.status]
+    assert 5 <= len(told) <= 10 and set(told) == {0}  # once a second
     truth = truth_of(here / "truth.tum")
     rows = truth[np.searchsorted(truth[:, 0], np.array(trace.stamps_ns) / 1e9 - 1e-3)]
     true_poses = [ss.Pose(x, y, 2.0 * np.arctan2(z, w)) for _, x, y, _, _, _, z, w in rows]
@@ -143,10 +135,9 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
 )
 def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, estimator, here, _compiled):
     shutil.copy(PARTS / "fading.py", here)  # an estimator of a user's own
-    task = ("--estimator", estimator, "--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
     with (
         process("simulate", "rectangle", *TRUTH, program=ODD_ROBOT) as robot,
-        process("live", "--out", "x", *task) as live,
+        process("live", "--out", "x", "--estimator", estimator, *DRIVE) as live,
     ):
         wait_until(lambda: has_record(here / "x.partial"))
         wait_until(lambda: len(np.unique(truth_of(here / "truth.tum")[:, 1:], axis=0)) > 5)
@@ -166,8 +157,7 @@ def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, es
 
 
 def test_a_robot_whose_driver_is_killed_stands_within_its_timeout_and_is_alone(here, _compiled, capsys):
-    task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
-    with process("simulate", "rectangle", *TRUTH), process("live", "--out", "x", *task) as live:
+    with process("simulate", "rectangle", *TRUTH), process("live", "--out", "x", *DRIVE) as live:
         wait_until(lambda: len(np.unique(truth_of(here / "truth.tum")[:, 1:], axis=0)) > 5)
         live.kill()
         killed_s = time.time()

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections import defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
@@ -19,19 +20,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
 from sixthsense.live import publishing
-from sixthsense.live.publishing import (
-    LEVELS,
-    LOOK_NS,
-    MAP,
-    PLAN,
-    POSE,
-    TF,
-    Commands,
-    MapSender,
-    diagnostics,
-    first_look,
-    publisher,
-)
+from sixthsense.live.publishing import LEVELS, LOOK_NS, MAP, Commands, MapSender, diagnostics, first_look, publisher
 from sixthsense.live.reading import TWIST_STAMPED, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot
 from sixthsense.logs.log import Log
@@ -80,6 +69,10 @@ def a_scan(rng: np.random.Generator) -> Scan:
     return Scan(rng.uniform(1.0, 5.0, 200).astype(np.float32), np.float32(-2.9), np.float32(0.029), 9.0)
 
 
+def trace_of(mapper: Mapper) -> Any:
+    return SimpleNamespace(config=CONFIG, radius_m=0.2, key_stamps_ns=[], live=SimpleNamespace(mapper=mapper))
+
+
 @pytest.mark.parametrize("is_prior", [False, True])
 def test_the_thread_sends_the_map_that_the_run_would_draw_and_nothing_that_is_not_new(is_prior, monkeypatch):
     monkeypatch.setattr(publishing, "_PERIOD_S", 0.0)
@@ -88,8 +81,7 @@ def test_the_thread_sends_the_map_that_the_run_would_draw_and_nothing_that_is_no
         earlier = Grid(CONFIG.grid, 0.2)
         earlier.add(Pose(1.3, 5.2, 0.3), a_scan(rng))
         own.start_from(earlier.submap())
-    trace: Any = SimpleNamespace(config=CONFIG, radius_m=0.2, key_stamps_ns=[], live=SimpleNamespace(mapper=own))
-    trajectory = np.zeros((0, 3))
+    trace, trajectory = trace_of(own), np.zeros((0, 3))
     with ThreadPoolExecutor(1) as thread:
         drawings: list[Future[None]] = []
 
@@ -119,10 +111,8 @@ def test_what_ends_the_thread_of_the_map_ends_the_run(monkeypatch):
     monkeypatch.setattr(publishing, "_PERIOD_S", 0.0)
     broken: Future[None] = Future()
     broken.set_exception(OSError("no memory"))
-    hook = MapSender(print, lambda *given: broken)
-    trace: Any = SimpleNamespace(
-        config=CONFIG, radius_m=0.2, key_stamps_ns=[1], live=SimpleNamespace(mapper=Mapper(CONFIG.grid, 0.2))
-    )
+    hook, trace = MapSender(print, lambda *given: broken), trace_of(Mapper(CONFIG.grid, 0.2))
+    trace.key_stamps_ns.append(1)
     hook(Tick(1, Pose()), trace)
     trace.key_stamps_ns.append(2)
     with pytest.raises(OSError, match="no memory"):
@@ -141,22 +131,19 @@ def told(own):
     return sent, trace.verdict, paces
 
 
-def test_a_good_map_is_ok_once_a_second_and_driven_by_at_full_speed():
-    own = ticks()
-    sent, verdict, paces = told(own)
-    duration_s = 1e-9 * (own[-1].stamp_ns - own[0].stamp_ns)
-    assert duration_s / 1.3 < len(sent) <= duration_s + 1
-    assert {message.status[0].level for message in sent} == {0} and set(paces) == {1.0}
-    assert verdict.level == "good" and sent[-1].status[0].message == "map good"
-    assert stamp_ns(sent[0]) == own[0].stamp_ns and sent[0].status[0].name == "sixthsense: map"
-
-
-def test_a_mirrored_laser_is_an_error_that_names_it_and_the_robot_turns_in_place():
-    sent, verdict, paces = told(mirrored())
-    last = sent[-1].status[0]
-    assert verdict.level == "broken" and last.level == LEVELS["broken"] and paces[-1] == 0.0
-    assert "is the laser mirrored?" in last.message
-    assert {pair.key: pair.value for pair in last.values}["cause"] == "mirrored"
+@pytest.mark.parametrize(("own", "level", "pace"), [(ticks, "good", 1.0), (mirrored, "broken", 0.0)])
+def test_a_good_map_is_driven_by_at_full_speed_and_at_one_of_a_mirrored_laser_the_robot_turns_in_place(
+    own, level, pace
+):
+    sent, verdict, paces = told(own())
+    first, last, duration_s = own()[0], sent[-1].status[0], 1e-9 * (own()[-1].stamp_ns - own()[0].stamp_ns)
+    assert duration_s / 1.3 < len(sent) <= duration_s + 1  # once a second
+    assert (verdict.level, last.level, paces[-1]) == (level, LEVELS[level], pace)
+    assert stamp_ns(sent[0]) == first.stamp_ns and last.name == "sixthsense: map"
+    if level == "good":
+        assert {message.status[0].level for message in sent} == {0} and set(paces) == {1.0}
+    else:
+        assert "is the laser mirrored?" in last.message and last.values[0].value == "mirrored"
 
 
 def said_by(own, seconds):
@@ -179,51 +166,34 @@ def test_a_laser_from_right_to_left_is_said_once_and_one_that_is_right_never():
     assert "scans turn against the odometry" in line
 
 
-class Sink:
-    """A node that keeps what is sent."""
-
-    def __init__(self) -> None:
-        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF, PLAN)}
-
-    def writer(self, topic: Any) -> Any:
-        keep = self.sent[topic.name].append
-        return SimpleNamespace(send=lambda data: keep(MAKE.store.deserialize_cdr(data, topic.type)))
-
-
-def robot_with(T_joined_odom: Pose) -> LiveRobot:
-    robot = LiveRobot(lambda _: (), Notices(print), preset("log"))
-    robot.joiner.T_joined_odom, robot.odom_frame = T_joined_odom, "wheels"
-    return robot
-
-
-def a_trace(estimate: Pose, key: Pose, key_cov: np.ndarray, since: Pose, since_cov: np.ndarray) -> Any:
-    return SimpleNamespace(
-        estimates=[(7.0, 8.0, 2.0), estimate.array()],
-        key_estimates=[None, SimpleNamespace(pose=key, pose_cov=key_cov)],
-        since_key=[(7.0, 8.0, 2.0), since.array()],
-        live=SimpleNamespace(since_cov=since_cov),
-        plans=[],
-    )
-
-
 @some
 @given(poses, poses, covariances, poses, covariances, poses)
 def test_what_is_published_is_the_pose_its_covariance_and_the_frame_of_odometry(
     T_joined_odom, key, key_cov, since, since_cov, odometry
 ):
-    robot, sink, estimate = robot_with(T_joined_odom), Sink(), key @ since
-    trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
-    publish = publisher(sink.writer, robot)
+    robot, estimate, sent = LiveRobot(lambda _: (), Notices(print), preset("log")), key @ since, defaultdict(list)
+
+    def advertise(topic: Any) -> Any:
+        keep = sent[topic.name].append
+        return SimpleNamespace(send=lambda data: keep(MAKE.store.deserialize_cdr(data, topic.type)))
+
+    robot.joiner.T_joined_odom, robot.odom_frame = T_joined_odom, "wheels"
+    trace: Any = SimpleNamespace(
+        estimates=[(7.0, 8.0, 2.0), estimate.array()], since_key=[(7.0, 8.0, 2.0), since.array()], plans=[],
+        key_estimates=[None, SimpleNamespace(pose=key, pose_cov=key_cov)], live=SimpleNamespace(since_cov=since_cov),
+    )  # fmt: skip
+    time_ns = 2 * HOUR + 123_456_789
+    publish = publisher(advertise, robot)
     publish(Tick(time_ns, odometry), trace)
-    assert not any(sink.sent.values())
+    assert not any(sent.values())
     publish(Tick(time_ns, odometry, a_scan(np.random.default_rng(1))), trace)
     trace.plans.append(np.array([[1.5, 2.5], [3.5, -0.5], [4.5, 0.7]]))
     for _ in range(2):
         publish(Tick(time_ns + 1, odometry), trace)
-    (plan,) = sink.sent["/plan"]
+    (plan,) = sent["/plan"]
     found = [(at.pose.position.x, at.pose.position.y) for at in plan.poses]
     assert found == [(1.5, 2.5), (3.5, -0.5), (4.5, 0.7)] and plan.header.frame_id == "map"
-    (pose,), ((link,),) = sink.sent["/pose"], (message.transforms for message in sink.sent["/tf"])
+    (pose,), ((link,),) = sent["/pose"], (message.transforms for message in sent["/tf"])
     assert (stamp_ns(pose), stamp_ns(link)) == (time_ns, time_ns + 200 * MS)
     assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (estimate.x, estimate.y)
     heading = 2.0 * math.atan2(pose.pose.pose.orientation.z, pose.pose.pose.orientation.w)

@@ -13,17 +13,19 @@ from processes import wait_until
 from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
 from sixthsense.live import session as session_module
 from sixthsense.live import simulated
-from sixthsense.live.network import SENSOR, Message, Network, Node
+from sixthsense.live.network import SENSOR, Endpoint, Message, Network, Node
 from sixthsense.live.reading import POSE, TWIST, MessageReader
-from sixthsense.live.session import Session, Topics, check_drive
+from sixthsense.live.session import Session, Topics, _where, check_drive
 from sixthsense.live.simulated import SimulatedRobot
 from sixthsense.logs.ros_messages import TransformTree, stamp_ns
 from sixthsense.record.messages import Messages
 from sixthsense.simulation.scene import load_scene
 from sixthsense.simulation.world import World
+from sixthsense.slam.mapping.grid import Grid
 
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install -e '.[ros2]'")
 
@@ -67,8 +69,7 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
         commands = node.writer(simulated.CMD_VEL)
         wait_until(lambda: commands.readers == 1)
         for speed in (0.1, 0.2, 0.3):
-            make = Messages()
-            commands.send(make.serialized(make.twist(speed, -0.7), TWIST))
+            commands.send(Messages().serialized(Messages().twist(speed, -0.7), TWIST))
         found = []
         wait_until(lambda: found.append(robot.command()) or found[-1] == Command(0.3, -0.7))
         reader, tree = MessageReader(), TransformTree()
@@ -96,12 +97,12 @@ def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(
     assert ticks[-1].truth.theta != ticks[-1].odometry.theta
 
 
-@pytest.mark.parametrize(("task", "name"), [("explore", "region"), ("goal", "goal"), ("tour", "tour")])
-def test_a_drive_needs_the_places_of_its_task(task, name):
-    with pytest.raises(InputError, match=f"^{name}: missing"):
-        check_drive(preset(task=task))
-    places = {"region": (0.5, 0.6, 2.0, 3.0), "goal": (2.0, 3.0), "tour": ((2.0, 3.0),)}
-    check_drive(preset(task=task, **{name: places[name]}))
+def test_a_drive_needs_the_places_of_its_task():
+    region, tour = (0.5, 0.6, 2.0, 3.0), ((2.0, 3.0),)
+    for task, name, place in (("explore", "region", region), ("goal", "goal", tour[0]), ("tour", "tour", tour)):
+        with pytest.raises(InputError, match=f"^{name}: missing"):
+            check_drive(preset(task=task))
+        check_drive(preset(task=task, **{name: place}))
 
 
 @pytest.mark.parametrize(("interface", "named", "multicast", "peers"), [
@@ -115,30 +116,53 @@ def test_a_network_is_found_by_multicast_unless_it_is_this_machine(interface, na
     assert [one.attrib for one in root.iter("NetworkInterface")] == [{named: interface}]
 
 
-def test_a_loopback_that_others_may_reach_is_told_and_no_robot_is_driven_there(monkeypatch):
-    node = SimpleNamespace(leak="found the loopback", reader=lambda _: None, writer=lambda _: None, close=lambda: None)
-    monkeypatch.setattr(session_module, "Node", lambda _: node)
-    monkeypatch.setattr(session_module, "is_command_ended", lambda: True)
-    lines = []
-    with Session(Network(), Topics(), preset("log"), lines.append) as session:
-        with pytest.raises(InputError, match="interface: found the loopback"):
-            session.configure(drive=True)
-        with pytest.raises(KeyboardInterrupt):
-            session.configure(drive=False)
+@pytest.fixture
+def joined(monkeypatch):
+    """Joins a network on which nothing is sent, but for what is given."""
+
+    def join(**of):
+        node = SimpleNamespace(**{"leak": "", "reader": lambda _: None, "close": lambda: None} | of)
+        monkeypatch.setattr(session_module, "Node", lambda _: node)
+        monkeypatch.setattr(session_module, "is_command_ended", lambda: True)
+        lines = []
+        return Session(Network(), Topics(), preset("log"), lines.append), lines
+
+    return join
+
+
+def test_a_loopback_that_others_may_reach_is_told_and_no_robot_is_driven_there(joined):
+    session, lines = joined(leak="found the loopback")
+    for drive, error in ((True, InputError), (False, KeyboardInterrupt)):
+        with pytest.raises(error, match=r"^interface: found the loopback|^$"):
+            session.configure(drive)
     assert lines[0] == "interface: found the loopback"
 
 
-def test_the_map_begins_at_the_newest_pose_that_is_set_and_one_of_a_run_is_named(monkeypatch):
-    make, lines = Messages(), []
+def test_topics_that_do_not_come_are_named_with_those_that_do(joined):
+    session, lines = joined(publishers=lambda: [Endpoint("/front", "sensor_msgs/msg/LaserScan")])
+    session._say_missing(True, False, True)
+    said = "nothing on /scan and nobody who reads /cmd_vel yet (seen: /front (LaserScan))"
+    assert lines == [f"{said}; other networks: `interface`, `domain`"]
+
+
+def test_a_goal_outside_of_all_that_was_seen_is_named_with_its_frame_and_where_the_robot_is():
+    config = preset(task="goal", goal=(7.0, -9.5))
+    grid = Grid(config.grid, 0.2)
+    grid.add(Pose(), Scan(np.full(90, 3.0, dtype=np.float32), np.float32(-3.1), np.float32(0.07), 9.0))
+    trace = SimpleNamespace(estimates=[(1.0, 0.25, 0.3)], draw_map=lambda: grid)
+    at = "frame `map`, outside of all that was seen; the robot is at 1.00 0.25"
+    assert _where(config, trace) == f"the goal is at 7.00 -9.50, {at}"
+    assert "outside" not in _where(config.replaced(goal=(1.0, -0.5)), trace)
+
+
+def test_the_map_begins_at_the_newest_pose_that_is_set_and_one_of_a_run_is_named(joined):
+    make = Messages()
     poses = [make.estimate(7, pose, np.eye(3)) for pose in (Pose(1.5, 2.0, 0.5), Pose(-3.0, 5.0, 2.2))]
     sent = [Message(make.serialized(pose, POSE), "rviz") for pose in poses]
     reader = SimpleNamespace(topic=SimpleNamespace(name="/initialpose"), messages=lambda: sent, take=lambda: sent)
-    node = SimpleNamespace(leak="", reader=lambda _: reader, close=lambda: None)
-    monkeypatch.setattr(session_module, "Node", lambda _: node)
-    with Session(Network(), Topics(), preset("log"), lines.append) as session:
-        start = session._start()
-        session._refuse_start(Tick(7, Pose()), None)
-    assert start.array() == pytest.approx((-3.0, 5.0, 2.2))
+    session, lines = joined(reader=lambda _: reader)
+    assert session._start().array() == pytest.approx((-3.0, 5.0, 2.2))
+    session._refuse_start(Tick(7, Pose()), None)
     assert lines[1] == "the map begins at -3.00 m, 5.00 m, 126°" and lines[2].startswith("a pose is left out")
 
 

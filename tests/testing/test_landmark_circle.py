@@ -19,15 +19,6 @@ def arc_of(motion):
     return arc_length(*motion.triple()), motion.theta
 
 
-@pytest.mark.parametrize(("distance", "turn"), [(0.25, 0.026), (-0.4, 1.1), (0.3, 0.0), (0.0, 0.7), (1.0, 1e-6)])
-def test_the_jacobian_of_an_arc_agrees_with_finite_differences(distance, turn):
-    h, back = 1e-6, rk4(Pose(), distance, turn, 1.0, 1e-2).inverse()
-    for column, (d, a) in enumerate(((h, 0.0), (0.0, h))):
-        ahead, behind = (rk4(Pose(), distance + k * d, turn + k * a, 1.0, 1e-2) for k in (1, -1))
-        off = (back @ ahead).array() - (back @ behind).array()
-        np.testing.assert_allclose(arc_jacobian(distance, turn)[:, column], off / (2 * h), atol=1e-8)
-
-
 def test_the_true_path_is_the_circle_without_noise():
     truth = simulate(0, 0, 480).truth
     np.testing.assert_allclose(np.hypot(truth[:, 0], truth[:, 1] - RADIUS), RADIUS)

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 from laws import links, parameters, prior_map
 from point_world import CONVERGED, broken, rotated_covariance, step
+from scipy.linalg import block_diag
 
+from sixthsense.core.geometry import wrap_angle
+from sixthsense.core.landmark_kernels import predictions
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator, Filter, Smoother
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.testing import check_estimator, estimator_checks
+from sixthsense.testing.batch import observation_jacobian, to_robot, to_world
 from sixthsense.testing.estimators import LAWS
 from sixthsense.testing.laws import Laws
 
@@ -75,34 +79,10 @@ LATE = broken(
 )  # fmt: skip
 
 
-def noise_in_world_axes(own, call, odometry):
-    call(replace(odometry, cov=rotated_covariance(-own.estimate().pose.theta, odometry.cov)))
-
-
 def augments_first(own, call, seen):
     before = known(own)
     call({i: s for i, s in seen.items() if i not in before})
     call({i: s for i, s in seen.items() if i in before})
-
-
-class RemembersTheForgotten(EKF):
-    """Hides forgotten landmarks, and finds them again."""
-
-    _hidden = frozenset()
-
-    def forget(self, ids):
-        if not {*ids} <= known(self):
-            raise KeyError(ids)
-        self._hidden |= {*ids}
-
-    def update(self, observations):
-        self._hidden -= {*observations}
-        super().update(observations)
-
-    def estimate(self):
-        found = super().estimate()
-        kept = ~np.isin(found.ids, [*self._hidden])
-        return replace(found, ids=found.ids[kept], landmarks=found.landmarks[kept], walls=found.walls[kept])
 
 
 def forgets_another(own, call, ids):
@@ -113,29 +93,6 @@ def forgets_another(own, call, ids):
 def with_joint(change):
     """Changes a joint covariance with landmarks."""
     return broken(joint_covariance=lambda own, call, ids: change(call(ids)) if len(ids) else call(ids))
-
-
-def asymmetric(joint):
-    joint[1, 0] += 1e-6 * joint[0, 0]
-    return joint
-
-
-def uncorrelated(joint):
-    joint[3:, :3] = joint[:3, 3:] = 0.0
-    return joint
-
-
-def views_of(name):
-    """Returns the same array of one of the calls until the state changes."""
-
-    def kept(own, call, *args):
-        return own.__dict__.setdefault("memo", {}).setdefault(str(args), call(*args))
-
-    def changed(own, call, given):
-        own.memo = {}
-        call(given)
-
-    return broken(predict=changed, update=changed, **{name: kept})
 
 
 def moves_at_random(own, call, numbers=itertools.count()):  # noqa: B008
@@ -174,23 +131,26 @@ def refuses_walls(error, late):
 BROKEN = [
     (1, surer("predict"), "predict never shrinks the joint covariance [walls]"),
     (1, broken(predict=lambda own, call, o: call(replace(o, cov=0.0 * o.cov))), FIRST_UPDATE.format("points")),
-    (1, broken(predict=noise_in_world_axes), LEAST_SQUARES.format("walls")),
+    (1, broken(predict=lambda own, call, o: call(
+        replace(o, cov=rotated_covariance(-own.estimate().pose.theta, o.cov)))), LEAST_SQUARES.format("walls")),
     (1, LATE, "predicting in pieces is predicting at once [points]"),
     (2, of_known(0.25), FIRST_UPDATE.format("points")),
     (2, of_new(1.1), NEW.format("points")),
     (2, broken(update=augments_first), "known landmarks of a scan update before new ones are initialized [walls]"),
-    (2, with_joint(uncorrelated), NEW.format("points and walls")),
-    (2, RemembersTheForgotten, "a forgotten landmark seen again is new [points]"),
+    (2, with_joint(lambda joint: block_diag(joint[:3, :3], joint[3:, 3:])), NEW.format("points and walls")),
+    (2, broken(forget=lambda own, call, ids: call([]) if {*ids} <= known(own) else call(ids)),
+     "a forgotten landmark seen again is new [points]"),
     (2, broken(forget=forgets_another), "forgetting a landmark leaves the others unchanged [walls]"),
     (2, broken(forget=lambda own, call, ids: [call([i]) for i in ids]),
      "forgetting no landmark or an unknown one changes nothing"),
     (2, broken(trajectory=lambda own, call: call()[1:]), "the trajectory has one row per update and starts empty"),
     (3, surer("update", lambda seen: not seen), "an empty update leaves the covariance alone [points]"),
-    (4, with_joint(asymmetric), ORDERED.format("points")),
+    (4, with_joint(lambda joint: joint + 1e-6 * joint[0, 0] * np.eye(len(joint), k=-1)), ORDERED.format("points")),
     (4, broken(joint_covariance=lambda own, call, ids: call(sorted(ids))), ORDERED.format("points and walls")),
     (4, broken(joint_covariance=lambda own, call, ids: call([i for i in ids if i in known(own)])),
      ORDERED.format("points")),
-    (5, views_of("trajectory"), "returned arrays are copies [walls]"),
+    (5, broken(trajectory=lambda own, call: own.__dict__.setdefault(f"until update {len(call()) + 1}", call())),
+     "returned arrays are copies [walls]"),
     (5, LATE, "arguments may change after the call [points]"),
     (6, broken(estimate=moves_at_random), "the same calls give the same bits [points]"),
     (7, broken(__init__=instead(np.eye(3))), "an invalid start covariance is named [not finite]"),
@@ -294,3 +254,17 @@ INFORMATION = broken(
 def test_rounding_of_an_inverse_breaks_no_law():
     failures = check_estimator(INFORMATION)
     assert failures.kept, failures
+
+
+def test_the_reference_of_the_laws_has_the_observation_model_of_the_package():
+    """Written twice, once by formulae and once by geometry; Jacobians by formulae and by differences."""
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        pose, landmark, is_wall = rng.uniform(-3, 3, 3), rng.uniform(-3, 3, 2), k % 2 == 0
+        z, by_pose, by_landmark = predictions(tuple(pose), landmark[None], np.array([is_wall]))
+        found = to_robot(pose, landmark, is_wall)
+        for one, other in ((found, z[0]), (to_world(pose, found, is_wall), landmark)):
+            off = one - other
+            assert max(abs(wrap_angle(float(off[0])) if is_wall else off[0]), abs(off[1])) < 1e-12
+        expected = np.hstack([by_pose[0], by_landmark[0]])
+        assert np.allclose(observation_jacobian(pose, landmark, is_wall), expected, atol=1e-8)

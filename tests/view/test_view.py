@@ -23,12 +23,10 @@ from sixthsense.loop.run import run
 pytest.importorskip("rerun", reason="needs the viewer: pip install -e '.[view]'")
 
 SHOWN = {
-    "/map", "/map/true/walls", "/map/true/robot", "/map/true/driven", "/map/robot", "/map/scan",
-    "/map/robot/body",
-    "/map/features/walls", "/map/features/points", "/map/landmarks/points", "/map/landmarks/ellipses",
-    "/map/landmarks/walls", "/map/pose", "/map/grid", "/map/frontiers", "/map/plan", "/map/driven", "/plots/nees/pose",
-    "/plots/nees/low", "/plots/nis/per_dof", "/plots/timing/update", "/plots/timing/grid",
+    "true/walls", "true/robot", "true/driven", "robot", "robot/body", "scan", "pose", "grid", "frontiers", "plan",
+    "driven", "features/walls", "features/points", "landmarks/points", "landmarks/ellipses", "landmarks/walls",
 }  # fmt: skip
+PLOTS = {"nees/pose", "nees/low", "nis/per_dof", "timing/update", "timing/grid"}
 
 
 @pytest.fixture(autouse=True)
@@ -59,7 +57,7 @@ def folder(tmp_path_factory) -> Path:
 
 def test_the_file_of_a_run_has_all_entities(folder):
     counts = rows(folder.parent / "deep" / "one.rrd")
-    assert set(counts) >= SHOWN
+    assert set(counts) >= {"/map", *(f"/map/{name}" for name in SHOWN), *(f"/plots/{name}" for name in PLOTS)}
     assert counts["/map/scan"] == 61  # every scan
     assert 5 <= counts["/map/grid"] <= 10  # once a second, and what names its classes
     assert counts["/plots/nis/low"] == counts["/plots/nis/high"] == counts["/plots/nis/per_dof"]
@@ -113,17 +111,13 @@ def test_the_page_for_browsers_is_on_the_loopback_shows_its_stream_to_it_alone_a
         urllib.request.urlopen(viewer.page)
 
 
-def children(pid: int) -> list[int]:
-    """The processes that a process has started."""
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 def test_a_run_continues_after_its_viewer_is_closed(tmp_path, monkeypatch):
     monkeypatch.setattr("sixthsense.view.recording._FLUSH_S", 1.0)
     with ss.View("browser") as view:
-        for program in children(view._viewer._process.pid):
-            os.kill(program, signal.SIGKILL)
+        pid = view._viewer._process.pid
+        for program in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            os.kill(int(program), signal.SIGKILL)
         view._viewer._process.wait()
         began = time.monotonic()
         trace = run(preset(scene="rectangle", max_time=1.0), view)
