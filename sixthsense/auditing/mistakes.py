@@ -137,4 +137,4 @@ def _other_clock(pair: Pair, off: Array, headings: Array) -> Iterator[str]:
     left = rms((off + delay * rate)[:, None]) / max(rms(off[:, None]), 1e-12)
     if left < 1.0 - _FITS and abs(delay) > float(np.median(np.diff(seconds))):
         late = f"about {abs(delay):.2g} s {'late' if delay > 0.0 else 'early'}, by the errors of headings in turns"
-        yield f"stamps of the estimate are {late} (otherwise set `time_offset` {-delay:.2f})"
+        yield f"stamps of the estimate are {late} (if so set `time_offset` {-delay:.2f})"

@@ -81,9 +81,9 @@ class Finding:
         return KINDS[self.kind].text.format(value=self.value, place=self.place, degrees=math.degrees(self.value))
 
     def __str__(self) -> str:
-        option = KINDS[self.kind].option
-        if not option:
+        if not (option := KINDS[self.kind].option):
             return self.text
         numbers = self.vector or (self.value,) * (self.action == "applied" and not math.isnan(self.value))
         setting = " ".join([f"`{option}`", *(f"{number:.4g}" for number in numbers)])
-        return f"{self.text} ({'otherwise set ' * (self.action != 'applied')}{setting})"
+        given = "otherwise" if self.kind == "odometry_frames" or self.kind.startswith("assumed") else "if so"
+        return f"{self.text} ({f'{given} set ' * (self.action != 'applied')}{setting})"
