@@ -119,9 +119,7 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
     (InputError("x", "bad"), False, False), (InputError("x", "bad"), True, True), (KeyboardInterrupt(), False, False),
     (RuntimeError("a bug"), False, True),
 ])  # fmt: skip
-def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_the_evidence(
-    error: BaseException, has_record: bool, is_left: bool, here: Path
-) -> None:
+def test_bad_input_before_the_first_record_alone_leaves_nothing(error, has_record, is_left, here):
     with pytest.raises(type(error)), RunFolder(here / "deep" / "x", Config()) as folder:
         (folder.partial / FILE).write_text("a record" if has_record else "")
         raise error
@@ -140,9 +138,7 @@ def test_a_folder_that_has_meanwhile_become_something_else_is_not_replaced(here:
 def test_the_second_of_two_runs_into_one_folder_is_told(here, complaint):
     with RunFolder(here / "x", Config(seed=1)) as first:
         said = complaint(*RUN, "--out", "x", writes_nothing=False)
-        assert said == (
-            "--out: found another process that writes x.partial, allowed: another folder, or wait for its end"
-        )
+        assert said.startswith("--out: found another process that writes x.partial, allowed: another folder")
         assert seed_of(first.partial) == 1
     assert cli.main([*RUN, "--seed", "2", "--out", "x"]) == cli.DONE
     assert seed_of(here / "x") == 2

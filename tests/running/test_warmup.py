@@ -22,9 +22,7 @@ def settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_kernels_are_kept_in_a_new_folder_of_the_user_alone_where_neither_package_nor_home_can_be_written(
-    settings: Path,
-) -> None:
+def test_kernels_are_kept_in_a_new_folder_where_neither_package_nor_home_can_be_written(settings: Path) -> None:
     sixthsense._keep_kernels(settings / "package", settings)
     assert os.environ["NUMBA_CACHE_DIR"] == ""
     sixthsense._keep_kernels(settings / "package")
