@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             code = _run(args)
         except BaseException as error:
-            if not _is_interrupt(error):
+            if not (_is_interrupt(error) or signals.has_raised):
                 raise
             signals.is_over = True
             code = _report_error("interrupted", INTERRUPTED)

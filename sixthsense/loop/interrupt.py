@@ -27,8 +27,9 @@ class Signals:
     def __init__(self) -> None:
         self.number, self.ctrl_c_s = 0, -math.inf
         """the first signal, 0 before it; time of the last Ctrl-C"""
-        self.is_deferred = self.is_over = self.is_last = False
-        """whether the first signal only sets `number`; nothing is left to interrupt; the process ends with the block"""
+        self.is_deferred = self.is_over = self.is_last = self.has_raised = False
+        """whether the first signal only sets `number`; nothing is left to interrupt; the process ends with the block;
+        KeyboardInterrupt was raised, in whose place a library may raise an error of its own"""
 
     def handle(self, number: int, frame: Any) -> None:
         """Note a signal; raise KeyboardInterrupt for a second Ctrl-C, and for a first signal that is not deferred."""
@@ -40,6 +41,7 @@ class Signals:
         if self.is_over or not (is_again or (is_first and not self.is_deferred)):
             return
         if not _is_compiling():
+            self.has_raised = True
             raise KeyboardInterrupt
         if not self.is_deferred:  # else the run ends after the compilation
             self.send_again(number)
@@ -89,7 +91,7 @@ def handled(*numbers: int) -> Iterator[Signals]:
         yield _signals
     finally:
         if not _signals.is_last:
-            sys.unraisablehook, _signals.number, _signals.is_over = report, 0, False
+            sys.unraisablehook, _signals.number, _signals.is_over, _signals.has_raised = report, 0, False, False
         for number, handler in before.items():  # Python gives up its handlers before a process has ended
             signal.signal(number, signal.SIG_IGN if _signals.is_last else handler)
 

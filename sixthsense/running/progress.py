@@ -20,10 +20,7 @@ _ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
 
 @contextlib.contextmanager
 def progress(
-    label: str,
-    total_s: float | None,
-    shown: bool | None = None,
-    status: Callable[[Trace], str] | None = None,
+    label: str, total_s: float | None, shown: bool | None = None, status: Callable[[Trace], str] | None = None
 ) -> Iterator[tuple[OnTick, Callable[[str], object]]]:
     """A bar for `total_s` seconds of the source, or without an end for None: a hook that moves it, and one for texts.
 

@@ -44,6 +44,20 @@ def test_a_signal_before_the_first_tick_leaves_nothing(here, step):
     assert list(here.iterdir()) == []
 
 
+def test_an_error_that_a_library_makes_of_an_interrupt_is_no_traceback(here):
+    program = """import os, signal
+from sixthsense.running import warmup
+def prepare(*words):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except KeyboardInterrupt:
+        raise Exception("a sample cannot be read") from None
+warmup.prepare = prepare"""
+    process = start(*ENDLESS, program=program)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 143 and err == "sixthsense: interrupted\n"
+
+
 def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(here):
     process = start(*ENDLESS)
     wait_until(lambda: has_record(here / "x.partial"))
