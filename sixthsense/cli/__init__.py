@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             code = _run(args)
         except BaseException as error:
-            if not (_is_interrupt(error) or signals.has_raised):
+            if not (isinstance(error, KeyboardInterrupt) or signals.has_raised):
                 raise
             signals.is_over = True
             code = _report_error("interrupted", INTERRUPTED)
@@ -92,13 +92,6 @@ def command_class(name: str) -> type[Options]:
     """The options of a command, with what it does."""
     found: type[Options] = getattr(import_module(f"sixthsense.cli.{COMMANDS[name][0]}"), name.capitalize())
     return found
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether an error is an interrupt, or follows from one: an interrupted module in C "fails to initialize"."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__
-    return error is not None
 
 
 def _run(args: list[str]) -> int:

@@ -29,7 +29,7 @@ class Signals:
         """the first signal, 0 before it; time of the last Ctrl-C"""
         self.is_deferred = self.is_over = self.is_last = self.has_raised = False
         """whether the first signal only sets `number`; nothing is left to interrupt; the process ends with the block;
-        KeyboardInterrupt was raised, in whose place a library may raise an error of its own"""
+        KeyboardInterrupt was raised, of which a library may make an error of its own"""
 
     def handle(self, number: int, frame: Any) -> None:
         """Note a signal; raise KeyboardInterrupt for a second Ctrl-C, and for a first signal that is not deferred."""

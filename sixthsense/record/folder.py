@@ -70,7 +70,7 @@ class RunFolder:
             self._lock.release()
 
     def _check_out(self, else_kept: str = "") -> None:
-        """Raise InputError unless `out` is new, or is a run that may be replaced; it ends with `else_kept`."""
+        """Raise InputError unless `out` is new, or a run that may be replaced; its message ends with `else_kept`."""
         if not os.path.lexists(self.out):
             return
         if not self._overwrite and not self.out.is_symlink():

@@ -31,7 +31,7 @@ _FACTOR, _SPREAD, _ALIKE = 0.1, 0.15, 0.93
 
 
 def causes_of(evidence: Evidence, found: Witnesses) -> tuple[Cause, ...]:
-    """The causes: a mirrored laser alone, or clocks and mount first, then events and passes; the wheels last."""
+    """The causes: a mirrored laser alone; or clocks, mount and wheels first, then events, passes and ties."""
     if mirrored := (*_mirrored(evidence),):
         return mirrored
     mount = [each for each in _beside_wheels(evidence, found) if each.name != "odometry_scale"]
