@@ -207,7 +207,7 @@ def show_end(run: Run, options: Common) -> int:
     files = [str(folder / name) for name in ("map.png", "map.yaml") if (folder / name).exists()]
     lines |= {"files": ", ".join(files)} if files else {}
     lines["report"] = f"sixthsense report {shlex.quote(str(folder))} writes figures/report.html"
-    print(*(f"{label:12} {text}" for label, text in lines.items()), f"written to {run.folder}/", sep="\n")
+    print(*(f"{label:12} {as_options(text)}" for label, text in lines.items()), f"written to {run.folder}/", sep="\n")
     code = EXIT_CODES.get(run.outcome, FAILED)
     if options.strict and code == DONE and run.verdict is not None:
         return EXIT_CODES_OF_MAPS[run.verdict.level]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from sixthsense.cli import DONE, FAILED
 from sixthsense.cli.common import announce, numbered
-from sixthsense.cli.options import Arg, Options, Table
+from sixthsense.cli.options import Arg, Options, Table, as_options
 from sixthsense.config.errors import InputError
 
 _FORMS = (".png", ".svg", ".pdf")
@@ -164,7 +164,7 @@ class Audit(Options):
         given = self.model_dump(include=set(inspect.signature(audit).parameters) - {"estimate"})
         lists = {"truth": list(self.truth) or None, "covariance": list(self.covariance) or None}
         found = audit(self.estimate[0] if len(self.estimate) == 1 else list(self.estimate), **{**given, **lists})
-        print(found)
+        print(as_options(str(found)))
         if self.numbers is not None:
             found.save(self.numbers)
             print(f"written: {self.numbers}")

@@ -248,6 +248,8 @@ def recorded_drive(
             shown: list[Watcher] = [] if on_tick is None else [lambda tick, step, command: on_tick(tick, trace)]
             watchers = [record, *shown, _ends(config, pilot.navigator.timeout_outcome, interrupted)]
             outcome = drive(source, slam, pilot, watchers, clock)
+            if interrupted() and not trace.stamps_ns:  # a run without a scan replaces no other
+                raise KeyboardInterrupt
             # A robot that sends nothing brings no tick after which a watcher could end the run.
             with naming_parts(config, "at the end", slam.check_estimate):
                 trace.wall_time_s = time.perf_counter() - began

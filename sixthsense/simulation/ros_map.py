@@ -210,7 +210,7 @@ def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray
             angle = math.atan2(dy, dx)
             turn = (angle - first + math.pi) % (2 * math.pi) - math.pi
             # The wedge constrains the infinite line, so no corner may lie beyond the end of the segment.
-            if distance_sq >= far_sq and (not wedge or (turn >= low - 1e-9 and turn <= high + 1e-9)):
+            if distance_sq >= far_sq and low <= turn <= high:
                 deviation_sq = (xx * dy * dy - 2 * xy * dx * dy + yy * dx * dx) / distance_sq
                 total = cost[i] + 1.0 + deviation_cost * deviation_sq
                 if total < cost[j]:
@@ -220,11 +220,11 @@ def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray
             far_sq = max(far_sq, distance_sq)
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
             if distance_sq > tolerance * tolerance:
-                half = math.asin(tolerance / math.sqrt(distance_sq))
+                half = math.asin(tolerance / math.sqrt(distance_sq)) + 1e-9  # for rounding
                 if not wedge:
                     wedge, first, turn = True, angle, 0.0
                 low, high = max(low, turn - half), min(high, turn + half)
-                if low > high + 1e-9:
+                if low > high:
                     break
     kept, k = np.zeros(n + 1, np.bool_), previous[n]
     kept[k] = True

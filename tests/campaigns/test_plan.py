@@ -70,14 +70,8 @@ def scene_file(name: str = "hall.toml", **changes: Any) -> str:
 def test_the_hash_of_a_scene_tells_all_that_it_holds_and_not_its_name(name: str) -> None:
     others: dict[str, Any] = {"radius": 0.16, "walkers": [{**SCENE["walkers"][0], "speed": 0.9}]}
     value = others.get(name) or (np.array(SCENE[name]) * 1.01).tolist()
-    assert (
-        scene_digest(scene_file())
-        == scene_digest(scene_file("other.toml"))
-        != scene_digest(scene_file(**{name: value}))
-    )
-
-
-# Folders
+    one, again = scene_digest(scene_file()), scene_digest(scene_file("other.toml"))
+    assert one == again != scene_digest(scene_file(**{name: value}))
 
 
 @pytest.fixture
@@ -88,10 +82,8 @@ def done() -> CampaignPlan:
     for key, run in plan(planned).items():
         error = 1.0 + run.seed + 10.0 * (run.estimator == "isam2")
         row = {**worker.row_of(run), "config_hash": key, "outcome": "tour ended", "host": "h", "version": "1"}
-        row |= {
-            "ate_rmse_m": error,
-            **{f"rpe_{part}_{m}m": error * m for part in ("trans_m", "rot_deg") for m in (1, 2)},
-        }
+        row["ate_rmse_m"] = error
+        row |= {f"rpe_{part}_{m}m": error * m for part in ("trans_m", "rot_deg") for m in (1, 2)}
         columns = np.arange(4.0), 0.5 * np.arange(4.0), error, 0.1, 3.0
         curves = pd.DataFrame(dict(zip(CURVES, columns, strict=True)))
         CampaignRows(Path("mc")).add({**row, worker.CURVES: curves})
@@ -136,9 +128,6 @@ def test_a_campaign_that_contradicts_itself_or_its_folder_is_refused(name: str, 
     assert {file: file.read_bytes() for file in Path("mc").rglob("*") if file.is_file()} == before
 
 
-# The command
-
-
 def planned(monkeypatch: pytest.MonkeyPatch, line: str) -> CampaignPlan:
     """The plan that a command line makes."""
     plans: list[CampaignPlan] = []
@@ -160,9 +149,8 @@ def test_any_part_is_an_axis_and_without_a_value_follows_from_the_preset(monkeyp
     assert one.values["front_end"] == ("landmarks", "scan-matching") and one.values["explorer"] == ("random",)
     assert "extractor" not in one.values and "front_end" not in one.fields
     runs = list(plan(one).values())
-    assert [(run.seed, run.front_end) for run in runs] == [
-        (seed, name) for seed in (3, 4) for name in ("landmarks", "scan-matching")
-    ]
+    expected = [(seed, name) for seed in (3, 4) for name in ("landmarks", "scan-matching")]
+    assert [(run.seed, run.front_end) for run in runs] == expected
     assert {(run.explorer, run.extractor, run.estimator) for run in runs} == {("random", "lines", "isam2")}
     both = campaign_of({"scene": ["loop"], "front_end": ["landmarks", "scan-matching"]}, [3], {})
     assert both.values["estimator"] == ("isam2",) and len(plan(both)) == 2

@@ -48,6 +48,11 @@ def test_a_good_end_with_a_doubtful_or_broken_map_has_an_exit_code_of_its_own_on
     assert show_end(ended("stuck", level), Common(strict=True)) == 1
 
 
+def test_a_field_that_a_summary_names_is_printed_as_an_option(capsys: pytest.CaptureFixture[str]) -> None:
+    show_end(ended("if so set `laser.max_range` 3"), Common())
+    assert "if so set --laser.max-range 3\n" in capsys.readouterr().out
+
+
 class CaughtError(InputError):
     """Ends a command where it would begin to work."""
 

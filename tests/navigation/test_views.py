@@ -164,6 +164,10 @@ def test_figures_draw_the_frontier_that_is_explored_by() -> None:
     goal = stage.next(START)
     assert np.hypot(*(points - goal.position).T).min() < 0.5 and points[:, 0].max() < 8.1
     assert frontier_points(Grid(CONFIG.grid, RADIUS), 0.05, region, 1.0, START.position, RADIUS).shape == (0, 2)
+    # Less has been seen than counts anywhere but around the robot.
+    here, narrow = Pose(3.3, 0.7, 0.3), {"max_range": 0.4}
+    points = frontier_points(Stage(two_rooms(1.0), [here], laser=narrow).grid, 0.05, region, 1.0, here.position, RADIUS)
+    assert len(points) > 20 and np.hypot(*(points - here.position).T) == pytest.approx(0.4, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -65,9 +65,6 @@ def test_a_finished_folder_holds_every_file_and_nothing_beside_it(out: Path) -> 
     assert [p.name for p in out.parent.iterdir()] == ["some"]
 
 
-# --- a run replaces an earlier run, and nothing else
-
-
 def test_a_run_with_its_exports_is_replaced_and_what_else_lies_there_is_kept_and_named(here: Path, capsys) -> None:
     out = made(here / "x")
     (out / "figures").mkdir()

@@ -6,8 +6,13 @@ import sys
 
 import pytest
 
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.source import Tick
+from sixthsense.logs.log import Log
 from sixthsense.loop import interrupt
 from sixthsense.loop.interrupt import deferred_interrupt
+from sixthsense.loop.run import replay
 
 
 @pytest.fixture(autouse=True)
@@ -15,21 +20,26 @@ def _nothing_pressed_before(monkeypatch):
     monkeypatch.setattr(interrupt._signals, "ctrl_c_s", -math.inf)
 
 
+def press(*_):
+    os.kill(os.getpid(), signal.SIGINT)
+    signal.pthread_sigmask(signal.SIG_BLOCK, [])  # a place where Python looks for signals
+
+
 def test_the_previous_handler_is_restored_and_a_second_press_is_not_deferred():
     before = signal.getsignal(signal.SIGINT)
     with deferred_interrupt() as interrupted:
         assert not interrupted()
-        os.kill(os.getpid(), signal.SIGINT)
+        press()
         assert interrupted()
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            signal.pthread_sigmask(signal.SIG_BLOCK, [])  # a place where Python looks for signals
+            press()
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def press():
-    os.kill(os.getpid(), signal.SIGINT)
-    signal.pthread_sigmask(signal.SIG_BLOCK, [])  # a place where Python looks for signals
+def test_a_run_that_is_interrupted_before_its_first_scan_is_none():
+    ticks = [Tick(1_000_000 * k, Pose(0.1 * k, 0.2, 0.3)) for k in range(3)]
+    with pytest.raises(KeyboardInterrupt):
+        replay(Log(ticks), preset(), on_tick=press)
 
 
 def test_pressing_twice_ends_a_loop_over_runs_though_the_first_press_ended_a_run():

@@ -28,8 +28,8 @@ def records() -> dict[int, Record]:
     return {i: Record(s.kind, 1, 0, 0, extent=np.array([[1.0, 2.0], [3.0, 4.0]])) for i, s in OBSERVATIONS.items()}
 
 
-def proposal(relative: Pose, sigma_m: float = 0.0) -> tuple[Array, Array]:
-    return relative.array()[None], np.array([[sigma_m, sigma_m, 0.0]])
+def proposal(relative: Pose, *sigmas: float) -> tuple[Array, Array]:
+    return relative.array()[None], np.array([sigmas or (0.0, 0.0, 0.0)])
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 3.0])
@@ -66,8 +66,12 @@ def test_the_covariance_is_that_of_the_observation_and_of_the_pose_it_was_made_f
         assert np.allclose(np.cov(drawn.T), block, rtol=0.12, atol=2e-6)
 
 
-def test_a_landmark_of_an_uncertain_keyframe_is_not_placed() -> None:
+@pytest.mark.parametrize(
+    ("sigmas", "count"),
+    [((0.3, 0.3, 0.15), 2), ((0.4, 0.1, 0.1), 0), ((0.1, 0.4, 0.1), 0), ((0.1, 0.1, 0.25), 0)],
+)
+def test_a_landmark_of_an_uncertain_keyframe_is_not_placed(sigmas: tuple[float, float, float], count: int) -> None:
     proposed, kept = ProposedLandmarks(), records()
     proposed.remember(0, known(HERE), OBSERVATIONS, kept)
-    proposed.place(*proposal(Pose(), sigma_m=2.0), known(HERE))
-    assert not len(proposed.estimate().ids)
+    proposed.place(*proposal(Pose(), *sigmas), known(HERE))
+    assert len(proposed.estimate().ids) == count

@@ -62,6 +62,14 @@ def test_at_standstill_a_sweep_equals_an_instantaneous_scan() -> None:
     assert moved.closed and instant.closed
 
 
+def test_a_beam_that_measured_nothing_stays_one_without_a_return() -> None:
+    deskew = Deskewer()
+    for k in range(6):
+        moved = Odometry(Pose(0.03, -0.01, 0.05), np.zeros((3, 3))) if k else STANDSTILL
+        deskew.moved(20_000_000 * k, moved)
+    assert not deskew(Scan.from_config(np.zeros(SWEPT.laser.beams), SWEPT.laser)).is_return.any()
+
+
 def test_a_turning_robot_keeps_no_direction_twice_and_leaves_a_gap_open() -> None:
     for turn_rate, closed in ((1.0, True), (-1.0, False)):
         raw, moved, _ = last_scan(SWEPT, 0.0, turn_rate)

@@ -93,6 +93,15 @@ def test_the_guess_grows_with_time_and_is_least_known_at_first():
     np.testing.assert_allclose(two, predicted(whole, 0.2, False).cov, rtol=1e-9)
 
 
+def test_of_a_guess_that_share_goes_on_which_the_time_since_the_velocity_was_known_makes():
+    velocity = LastVelocity()
+    velocity._cov = np.zeros((3, 3))  # known exactly, .5 s before the end and .2 s before the keyframe
+    predicted(velocity, 0.2, False)
+    velocity.begin_anew()
+    since = STANDSTILL.then(predicted(velocity, 0.3, False))
+    np.testing.assert_allclose(velocity.for_estimator(since).cov, (1.0 + 0.5 / 0.3) * since.cov, rtol=1e-9)
+
+
 def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():
     period = scan_clock()
     rng = np.random.default_rng(0)

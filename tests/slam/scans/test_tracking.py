@@ -10,7 +10,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.alignment import Prior, Views
-from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Usual, aligned, track, tracked_at
+from sixthsense.slam.scans.tracking import SLIP_SIGMAS, LastScan, Usual, aligned, expected, track, tracked_at
 
 FIRST, TRUE = Pose(-1.2, 0.7, 0.4), Pose(-0.9, 0.8, 0.6)
 USUAL = Usual(0.05, 0.6)
@@ -24,6 +24,25 @@ def views_and_prior(scan: Scan, said: Pose, sigmas=(0.01, 0.01, 0.01)):
 
 def tracked(scan: Scan, said: Pose, usual=USUAL):
     return track(*views_and_prior(scan, said), said.array()[None], usual, False)
+
+
+def test_what_is_known_before_a_scan_is_aligned_follows_from_the_odometry_and_the_mount():
+    key, mount, last_since, since = Pose(1.5, -0.7, 2.1), Pose(0.3, -0.2, 0.4), Pose(0.2, 0.1, 0.3), Pose(0.5, 0.3, 0.7)
+    last, root = Pose(1.9, -0.2, 2.5), np.array([[0.05, 0.0, 0.0], [0.01, 0.03, 0.0], [0.02, -0.01, 0.04]])
+    cov, factors, moved = root @ root.T, np.outer((1.5, 1.5, 0.7), (1.5, 1.5, 0.7)), Pose(0.1, 0.02, 0.05)
+    scan = LastScan(last.array(), last_since.triple(), moved.triple())
+    found = expected(key.array(), scan, mount.triple(), since.triple(), cov, factors)
+
+    def by_error(pose_of):  # the Jacobian of a pose by the error of the odometry, axes of its end
+        rows = [pose_of(Pose(*h)).array() - pose_of(Pose(*-h)).array() for h in 1e-6 * np.eye(3)]
+        return np.array(rows).T / 2e-6
+
+    assert found.prior.pose == pytest.approx((key @ mount.inverse() @ since @ mount).array())
+    own, wheels = (by_error(lambda e, T=T: T @ e @ mount) for T in (key @ mount.inverse() @ since, mount.inverse()))
+    np.testing.assert_allclose(np.linalg.inv(found.prior.information), own @ (cov * factors) @ own.T, rtol=1e-5)
+    np.testing.assert_allclose(found.stated, wheels @ cov @ wheels.T, rtol=1e-5)
+    step = mount.inverse() @ last_since.inverse() @ since @ mount
+    np.testing.assert_allclose(found.starts, [(last @ each).array() for each in (step, moved, Pose())])
 
 
 @pytest.mark.parametrize("slip", [(0.3, -0.1, 0.0), (-0.35, 0.25, 0.2)])
@@ -74,6 +93,14 @@ def test_a_tracked_pose_is_as_certain_as_the_wheels_and_the_scan_together():
     assert np.linalg.eigvalsh(scan)[0] >= 0.0
     off = found.pose - prior.pose
     assert found.off == pytest.approx(off) and found.square == pytest.approx(off @ prior.information @ off)
+
+
+def test_two_scans_that_see_the_same_count_as_one():
+    views, prior = views_and_prior(scan_at(TRUE), TRUE)
+    firm = prior._replace(information=1e12 * np.eye(3), slip_sigmas=np.inf)
+    twice = views._replace(targets=np.array([0, 0]), at=np.repeat(views.at, 2, axis=0))
+    one, two = (aligned(each, firm, firm.pose, 0.25).information for each in (views, twice))
+    assert one == pytest.approx(two, rel=1e-6) and np.trace(one) > 1e5
 
 
 def test_returns_of_a_larger_variance_count_as_a_prior_of_more_information_makes_them():
