@@ -312,27 +312,32 @@ def scaled(column: Column) -> str:
 
 
 def table_of(kind: str, rows: Mapping[str, Row]) -> str:
-    """The table of a kind: a line per row, one of all runs if that is asked for, what is asked, and the commits."""
+    """The table of a kind: a line per row, one of all runs if that is asked for, what is asked, and the commits.
+
+    The number of runs and the outcome are below the table where all rows have the same.
+    """
     of, own = KINDS[kind], {case: rows[case.name] for case in CASES if case.kind == kind and case.name in rows}
     if not own:
         return "Not measured."
-    columns = of.columns
-    has_outcome = any(row["outcomes"] for row in own.values())
-    lines = [[*of.heads, "n", *(["outcome"] if has_outcome else []), *(column.title for column in columns)]]
+    first, columns = len(of.heads), of.columns
+    lines = [[*of.heads, "n", "outcome", *(column.title for column in columns)]]
     for case, row in own.items():
-        ended = ", ".join(f"{count} {name}" for name, count in Counter(row["outcomes"]).most_common())
-        cells = [*case.setting, *[""] * (len(of.heads) - len(case.setting)), str(row.get("n", len(row["seeds"])))]
-        lines.append([*cells, *([ended] if has_outcome else []), *(cell(column, row["values"]) for column in columns)])
+        counts = Counter(row["outcomes"]).most_common()
+        ended = ", ".join(f"{count} {name}" if len(counts) > 1 else name for name, count in counts)
+        cells = [*case.setting, *[""] * (first - len(case.setting)), str(row.get("n", len(row["seeds"]))), ended]
+        lines.append([*cells, *(cell(column, row["values"]) for column in columns)])
     if of.pooled and len(own) > 1:
         names = {name for row in own.values() for name in row["values"]}
         every = {name: [v for row in own.values() for v in row["values"].get(name, ())] for name in names}
         count = str(sum(row.get("n", len(row["seeds"])) for row in own.values()))
-        cells = ["all", *[""] * (len(of.heads) - 1), count, *([""] if has_outcome else [])]
-        lines.append([*cells, *(cell(column, every) for column in columns)])
+        lines.append(["all", *[""] * (first - 1), count, "", *(cell(column, every) for column in columns)])
+    alike = [k for k in (first, first + 1) if len({line[k] for line in lines[1:]}) == 1]
+    notes = [f"{lines[0][k]}: {lines[1][k]}." for k in alike if lines[1][k]]
+    lines = [[text for k, text in enumerate(line) if k not in alike] for line in lines]
     asked = [f"{column.title} {scaled(column)}" for column in columns if column.asked]
     commits = ", ".join(sorted({f"`{row['commit']}`" for row in own.values()}))
-    notes = [*([f"Asked: {'; '.join(asked)}; bold is not as asked."] if asked else []), f"Code: {commits}."]
-    return "\n\n".join([f"    python benchmarks/suite.py {kind}", markdown(lines, len(of.heads)), " ".join(notes)])
+    notes += [*([f"Asked: {'; '.join(asked)}; bold is not as asked."] if asked else []), f"Code: {commits}."]
+    return "\n\n".join([f"    python benchmarks/suite.py {kind}", markdown(lines, first), " ".join(notes)])
 
 
 def markdown(lines: Sequence[Sequence[str]], text: int = 1) -> str:
@@ -366,8 +371,7 @@ def headline(rows: Mapping[str, Row]) -> str:
     done = f"{outcomes.count('explored')} of {len(outcomes)}, {touched:.0f} collisions, coverage at least {least:.3f}"
 
     def of(names: Sequence[str], figure: str, form: str, scale: float = 1.0) -> str:
-        column = Column("", figure, form, "", scale)
-        return ", ".join(cell(column, rows[name]["values"]) for name in names)
+        return ", ".join(cell(Column("", figure, form, "", scale), rows[name]["values"]) for name in names)
 
     tours = [f"tour.{scene}.ekf-invariant" for scene in ("apartment", "office")]
     logs = [f"relations.{log}" for log in ("intel", "fr079")]
