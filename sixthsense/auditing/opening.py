@@ -188,7 +188,7 @@ def _nanoseconds(what: str, given: Any) -> tuple[Stamps, list[str]]:
     import pandas as pd
 
     try:
-        times = pd.Index(given)
+        times = pd.Index(given if getattr(given, "ndim", 1) == 1 else as_array(f"{what} stamps", given, ("N",)))
         if times.dtype.kind not in "mM":
             seconds = as_array(f"{what} stamps", given, ("N",))
     except (ValueError, TypeError) as error:
