@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from sixthsense.core.picture import Picture
 
 _SHORT_M = 0.1  # lengths below are read in millimetres
+_LETTERS_PER_IN = 12  # of a legend
 
 
 def new_axes(rows: int, columns: int, width_in: float, height_in: float, **share: Any) -> tuple[Picture, list[Any]]:
@@ -28,12 +29,16 @@ def legend(figure: Any, columns: int = 6) -> Any:
     return figure
 
 
+def columns_for(ax: Any, panels: int = 1) -> int:
+    """Columns of a legend with the names of a panel, in the width of a figure with so many panels side by side."""
+    longest = max(map(len, ax.get_legend_handles_labels()[1]), default=0)
+    return max(1, min(4, int(_LETTERS_PER_IN * ax.figure.get_figwidth() / panels) // (longest + 8)))
+
+
 def legend_above(ax: Any) -> None:
-    """Add the legend of one panel above it, without a box."""
-    names = ax.get_legend_handles_labels()[1]
-    columns = max(1, min(4, 90 // (max(map(len, names), default=0) + 8)))
+    """Add the legend of one panel above it, without a box; one that is wider would push the others aside."""
     above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
-    ax.legend(ncols=columns, frameon=False, fontsize="small", **above)
+    ax.legend(ncols=columns_for(ax, ax.get_gridspec().ncols), frameon=False, fontsize="small", **above)
 
 
 def in_millimetres(ax: Any) -> None:

@@ -18,7 +18,7 @@ from sixthsense.evaluation.measured_run import MAX_RUNS
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.summary import EFFECTIVE, pooled
 from sixthsense.figures import overtime
-from sixthsense.figures.canvas import in_millimetres, legend, legend_above
+from sixthsense.figures.canvas import columns_for, in_millimetres, legend, legend_above
 from sixthsense.figures.plot import CYCLE, MAP_WIDTH_IN, draw_exploration, draw_map, map_height, new_figure
 
 WIDTH_IN = 7.5
@@ -141,8 +141,10 @@ def _entitle(picture: Any, panels: Sequence[Any], kind: Kind, curves: Sequence[C
         heights = [map_height(ax, width / columns) for ax in panels[: len(curves)]]
         picture.set_size_inches(width, rows * max(heights) + 0.4 * (len(curves) > 1))
         legend(picture, 5 if columns == 1 else 4)
+    elif kind.shape(curves)[1] > 1:
+        legend(picture, columns_for(panels[0]))
     else:
-        for ax in panels[:1] if kind.draw in (_errors, _relative_errors) else panels:
+        for ax in panels[:1] if kind.draw is _errors else panels:
             legend_above(ax)
     if len(runs) > 1:
         title = kind.title + (" over the distance travelled" if over == "distance" else "")
