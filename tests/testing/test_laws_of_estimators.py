@@ -1,6 +1,7 @@
-"""Each clause of the contract of estimators has estimators that break it, and the law that finds them."""
+"""Estimators that break a clause of their contract, and the law that finds each; honesty on the landmark circle."""
 
 import itertools
+import math
 import re
 from dataclasses import replace
 
@@ -10,14 +11,18 @@ from laws import links, parameters, prior_map
 from point_world import CONVERGED, broken, rotated_covariance, step
 from scipy.linalg import block_diag
 
-from sixthsense.core.geometry import wrap_angle
+from sixthsense.config import ISAM2Config
+from sixthsense.core.arcs import arc_jacobian, arc_length
+from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmark_kernels import predictions
-from sixthsense.core.motion import Odometry
+from sixthsense.core.motion import Odometry, rk4
+from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import Estimator, Filter, Smoother
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.testing import check_estimator, estimator_checks
 from sixthsense.testing.batch import observation_jacobian, to_robot, to_world
+from sixthsense.testing.circle import ODOMETRY_COV, RADIUS, follow, simulate
 from sixthsense.testing.estimators import LAWS
 from sixthsense.testing.laws import Laws
 
@@ -208,12 +213,6 @@ def test_laws_of_walls_are_skipped_with_the_reason_for_an_estimator_of_points():
     assert not check_estimator(refuses_walls(TypeError, late=False)).skipped, "another error is no refusal"
 
 
-def test_what_cannot_be_made_is_told_once():
-    failures = check_estimator(broken(__init__=lambda own, call, start, cov: call(start)))
-    assert [*failures] == ["the part can be made"] and failures.tested == 1 and not failures.kept
-    assert "TypeError" in failures["the part can be made"]
-
-
 def test_a_broken_law_is_named_with_its_clause_what_was_found_and_what_is_allowed():
     failures = check_estimator(
         broken(joint_covariance=lambda own, call, ids: call([i for i in ids if i in known(own)]))
@@ -268,3 +267,45 @@ def test_the_reference_of_the_laws_has_the_observation_model_of_the_package():
             assert max(abs(wrap_angle(float(off[0])) if is_wall else off[0]), abs(off[1])) < 1e-12
         expected = np.hstack([by_pose[0], by_landmark[0]])
         assert np.allclose(observation_jacobian(pose, landmark, is_wall), expected, atol=1e-8)
+
+
+def test_the_true_path_is_the_circle_without_noise():
+    truth = simulate(0, 0, 480).truth
+    np.testing.assert_allclose(np.hypot(truth[:, 0], truth[:, 1] - RADIUS), RADIUS)
+    np.testing.assert_allclose(truth[239], np.zeros(3), atol=1e-9)  # once round in 240 steps
+    first = Pose.from_array(truth[0])
+    assert (arc_length(*first.triple()), first.theta) == pytest.approx((0.25, math.radians(1.5)))
+    step = rk4(Pose(), 0.25, math.radians(1.5), 1.0)
+    assert math.dist(first.position, step.position) < 1e-9
+
+
+def test_the_covariance_of_odometry_has_rank_two_after_one_step_and_three_after_two():
+    evidence = simulate(0, 0, 3)
+    for odometry in evidence.odometry:
+        g = arc_jacobian(arc_length(*odometry.motion.triple()), odometry.motion.theta)
+        np.testing.assert_allclose(odometry.cov, g @ ODOMETRY_COV @ g.T, atol=1e-15)
+        assert np.linalg.matrix_rank(odometry.cov) == 2
+    assert evidence.full_rank_from == 1 and np.isnan(follow("ekf", evidence).nees3).tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("threshold", [0.1, 0.01])
+def test_the_smoother_ends_near_the_invariant_filter(threshold):
+    """Both see all evidence and lose none of it to an invented heading: they differ by less than they err."""
+    evidence = simulate(2, 0, 300)
+    smoother = follow("isam2", evidence, ISAM2Config(relinearize_threshold=threshold))
+    invariant = follow("ekf-invariant", evidence)
+    gap = np.abs(wrap_angle(smoother.heading - invariant.heading))
+    assert np.sqrt(np.mean(gap**2)) < 0.2 * np.sqrt(np.mean(invariant.heading**2))
+
+
+@pytest.mark.slow
+def test_only_the_standard_filter_is_inconsistent():
+    """40 whole runs of the filters, each band that of 40 runs."""
+    evidence = [simulate(0, run) for run in range(40)]
+    tracks = {name: [follow(name, own) for own in evidence] for name in ("ekf", "ekf-invariant")}
+    rms = {name: math.sqrt(np.mean([track.position_m**2 for track in own])) for name, own in tracks.items()}
+    for field, dof in (("nees3", 3), ("nees3_invariant", 3), ("nees_heading", 1)):
+        low, high = nees_band(40, dof, confidence=0.999)
+        found = {name: np.mean([np.nanmean(getattr(track, field)) for track in own]) for name, own in tracks.items()}
+        assert found["ekf"] > high
+        assert low < found["ekf-invariant"] < high and rms["ekf-invariant"] < 0.9 * rms["ekf"]

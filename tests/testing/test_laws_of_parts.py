@@ -1,4 +1,4 @@
-"""The checkers of the seams, but that of estimators: parts that break their contract in one way alone are found."""
+"""The checkers of the seams: parts that break their contract in one way alone, or cannot be made, are found."""
 
 import math
 from dataclasses import replace
@@ -15,6 +15,7 @@ from sixthsense.slam.front_end import Finished
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.scans.place_search import BranchAndBound
 from sixthsense.testing import (
+    estimator_checks,
     explorer_checks,
     extractor_checks,
     front_end_checks,
@@ -120,8 +121,8 @@ def test_a_part_that_breaks_a_law_is_found_by_it_with_what_was_found(laws, part,
 
 
 CHECKS = [
-    (planner_checks, AStar), (explorer_checks, FrontierExplorer), (extractor_checks, "lines"),
-    (front_end_checks, "landmarks"), (place_search_checks, "branch-and-bound"),
+    (estimator_checks, "ekf"), (planner_checks, AStar), (explorer_checks, FrontierExplorer),
+    (extractor_checks, "lines"), (front_end_checks, "landmarks"), (place_search_checks, "branch-and-bound"),
 ]  # fmt: skip
 
 

@@ -46,17 +46,11 @@ def rows(file: Path) -> dict[str, int]:
     return counts
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("runs") / "one"
-    file = out.parent / "deep" / "one.rrd"
-    words = ["--max-time", "6", "--seed", "3", "--out", str(out), "--view", str(file)]
+def test_the_file_of_a_run_has_all_entities(tmp_path):
+    file = tmp_path / "deep" / "one.rrd"
+    words = ["--max-time", "6", "--seed", "3", "--out", str(tmp_path / "one"), "--view", str(file)]
     assert main(["run", "apartment", *words]) == 0
-    return out
-
-
-def test_the_file_of_a_run_has_all_entities(folder):
-    counts = rows(folder.parent / "deep" / "one.rrd")
+    counts = rows(file)
     assert set(counts) >= {"/map", *(f"/map/{name}" for name in SHOWN), *(f"/plots/{name}" for name in PLOTS)}
     assert counts["/map/scan"] == 61  # every scan
     assert 5 <= counts["/map/grid"] <= 10  # once a second, and what names its classes
