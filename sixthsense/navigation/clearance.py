@@ -19,7 +19,8 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.mapping.changes import Box, Changes, Revision, moved
 from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace
 
-_OPPOSITE = 0.5  # cosine: the sides of a gap are at a larger angle than this to the way across it
+OPPOSITE = 0.5
+"""cosine: the other side of a gap lies at a smaller angle to the way across, that of a corner does not"""
 _SIDE = 2  # cells from the middle of a gap to where the distance has to be less
 _NOWHERE = Box(0, 0, 0, 0)
 
@@ -209,7 +210,7 @@ def _middle(points: Array, row: float, col: float) -> tuple[float, float, float]
     for point in points:
         to_row, to_col = point[0] - row, point[1] - col
         away = math.hypot(to_row, to_col)
-        if to_row * down + to_col * across > _OPPOSITE * away:
+        if to_row * down + to_col * across > OPPOSITE * away:
             far = min(far, away)
     if far == np.inf:
         return 0.0, 0.0, 0.0

@@ -58,7 +58,9 @@ class SensorModel(NamedTuple):
     def of(cls, config: Config) -> SensorModel:
         """The model of the configured laser."""
         bearings, laser = beam_bearings(config.laser), config.laser
+        # From the whole range away a border would be seen, and next to nothing beyond it.
         spacing, reach = abs(float(bearings[1] - bearings[0])), 0.95 * laser.max_range / config.grid.cell_m
+        # A laser all around turns by four keyframes: the gaps between the beams of one are crossed by other ones.
         turn_rad = math.tau if laser.fov < math.tau - spacing else 4.0 * config.keyframes.turn_rad
         return cls(reach, max(2.0, min(1.0 / spacing, reach)), turn_rad)
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array
+from sixthsense.navigation.clearance import OPPOSITE
 from sixthsense.navigation.frontier import middle_cell
 from sixthsense.navigation.gridsearch import Cell, Links, ways_from
 from sixthsense.navigation.view_map import ViewMap
@@ -20,7 +21,6 @@ Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
 LEAST_AREA_M2 = 0.02
 """a place counts as left unseen if it is at least this large: eight cells, which noise at edges does not reach"""
-_OPPOSITE = -0.8  # cosine: the two sides of a gap are at an angle larger than this, those of a corner are not
 _WIDEST = 8.0  # power of 1 / clearance that a way costs: so high that its narrowest gap counts alone
 
 
@@ -118,5 +118,5 @@ class _Gaps:
             return None
         away = np.linalg.norm(points, axis=1)
         first = int(np.argmin(away))
-        opposite = points @ points[first] < _OPPOSITE * away * away[first]
+        opposite = points @ points[first] < -OPPOSITE * away * away[first]
         return float(np.linalg.norm(points[opposite] - points[first], axis=1).min()) if opposite.any() else None

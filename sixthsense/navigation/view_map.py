@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.frontier import Known, Piece, Region, cells_within, frontier_pieces
@@ -19,7 +20,6 @@ from sixthsense.slam.mapping.freespace import Bools, Floats
 
 TILE_M = 0.2
 """side of the tiles by which ways are measured, unless the robot is narrower: no way leads through a wall"""
-_RIM = 4  # unknown cells around the known ones, so that all of the frontier is in the masks
 
 
 class ViewMap:
@@ -38,7 +38,9 @@ class ViewMap:
         """cells of a tile's side"""
         space = map_.free_space(pose)
         wanted = cells_within(region, self.cell_m, outside_m).within(clearance.box[:2], clearance.seen.shape)
-        parts = _parts(clearance.seen | clearance.obstacles, clearance.cell(pose.position), wanted, self.side)
+        rim = max(3, math.ceil(radius_m / self.cell_m))  # what a frontier is beside, and where the robot may pass
+        known, here = clearance.seen | clearance.obstacles, clearance.cell(pose.position)
+        parts = _parts(known, here, wanted, self.side, rim)
         self.first: Cell = (clearance.box.top + parts[0].start, clearance.box.left + parts[1].start)
         """row and col of the masks' corner, counted from the world's origin"""
         self.metres = clearance.metres[parts]
@@ -51,17 +53,18 @@ class ViewMap:
         """(H, W) to be seen"""
         self.passable: Bools = self.seen & ~space.blocked[parts]
         """(H, W) where the robot may drive"""
+        self.here = self.cell(pose.position)
+        """the robot's cell"""
         self.links = Links.of(self.passable, self.side)
-        self.here = self._here(pose)
         self.ways, _ = ways_from(self.links, self.tile_cost(1.0), self.tile(self.here), np.zeros((0, 2), np.int64))
         """(R, C) lengths of ways from the robot to tiles, in tiles; inf where none leads"""
-        self.places = self.best_cells(self.passable & self.of_tiles(np.isfinite(self.ways)))
+        # Cells on both sides of a closed gap may meet in a tile. A path steps across edges of cells, seen or not.
+        areas, _ = ndimage.label(~space.blocked[parts])
+        has_way = np.isfinite(self.ways).repeat(self.side, axis=0).repeat(self.side, axis=1)
+        self.reachable: Bools = self.passable & has_way & (areas == areas[self.here])
+        """(H, W) cells that the robot can drive to"""
+        self.places = self.best_cells(self.reachable)
         """(R, C) of each tile that the robot can drive to its cell with the most clearance, a flat index; else -1"""
-
-    @property
-    def reachable(self) -> Bools:
-        """(H, W) cells that the robot can drive to."""
-        return self.passable & self.of_tiles(np.isfinite(self.ways))
 
     def cell(self, point_world: Array) -> Cell:
         """Row and col of a (2,) point, clipped to the masks."""
@@ -76,10 +79,6 @@ class ViewMap:
     def tile(self, cell: Cell) -> Cell:
         """The tile of a cell."""
         return cell[0] // self.side, cell[1] // self.side
-
-    def of_tiles(self, tiles: NDArray[np.bool_]) -> Bools:
-        """(H, W) the cells of tiles (R, C)."""
-        return np.asarray(tiles.repeat(self.side, axis=0).repeat(self.side, axis=1))
 
     def tile_cost(self, value: float) -> Floats:
         """(R, C) the same cost of all tiles."""
@@ -112,26 +111,15 @@ class ViewMap:
         index = int(nearest_view(self.obstacles, places, self.side, *piece.centre, reach))
         return divmod(index, self.seen.shape[1]) if index >= 0 else None
 
-    def _here(self, pose: Pose) -> Cell:
-        """The cell that ways from the robot begin at: its own, or the nearest one that it may drive in."""
-        row, col = self.cell(pose.position)
-        reach = math.ceil(2.0 * self._radius_m / self.cell_m)
-        top, left = max(row - reach, 0), max(col - reach, 0)
-        near = np.argwhere(self.passable[top : row + reach + 1, left : col + reach + 1]) + np.array([top, left])
-        if len(near) == 0:
-            return row, col
-        row, col = near[int(np.argmin(((near - (row, col)) ** 2).sum(axis=1)))].tolist()
-        return row, col
 
-
-def _parts(known: Bools, here: Cell, wanted: tuple[slice, slice], side: int) -> tuple[slice, slice]:
-    """The rows and columns of what is known (H, W), with unknown cells around it, of `here`, and of what is wanted.
+def _parts(known: Bools, here: Cell, wanted: tuple[slice, slice], side: int, rim: int) -> tuple[slice, slice]:
+    """The rows and columns of what is known (H, W), with a rim of unknown cells, of `here`, and of what is wanted.
 
     They are of whole tiles of `side` cells.
     """
     found = []
     for axis, span in enumerate(wanted):
         cells = [*np.flatnonzero(known.any(axis=1 - axis)).tolist(), here[axis], span.start, span.stop]
-        low, high = max(min(cells) - _RIM, 0), max(cells) + 1 + _RIM
+        low, high = max(min(cells) - rim, 0), max(cells) + 1 + rim
         found.append(slice(low // side * side, min(-(-high // side), known.shape[axis] // side) * side))
     return found[0], found[1]

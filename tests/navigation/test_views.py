@@ -1,6 +1,7 @@
 """What is to be seen, from where it is seen, and what is left, on maps that a noiseless robot has seen."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,11 +11,15 @@ from sixthsense.config import merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
+from sixthsense.navigation.clearance import Clearance
 from sixthsense.navigation.exploration import TRIES, Exploration
 from sixthsense.navigation.frontier import Known, frontier_pieces, frontier_points
 from sixthsense.navigation.path_planner import DrivingMap
+from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import line_of_sight, nearest_view, visible_cells
 from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.grid import Grid
 
 RADIUS = 0.2
@@ -168,6 +173,35 @@ def test_figures_draw_the_frontier_that_is_explored_by() -> None:
     here, narrow = Pose(3.3, 0.7, 0.3), {"max_range": 0.4}
     points = frontier_points(Stage(two_rooms(1.0), [here], laser=narrow).grid, 0.05, region, 1.0, here.position, RADIUS)
     assert len(points) > 20 and np.hypot(*(points - here.position).T) == pytest.approx(0.4, abs=0.1)
+
+
+def wall_of_a_cell(door):
+    """Two rooms whose cells meet in tiles alone, or at a door as well."""
+    blocked = np.zeros((60, 68), dtype=bool)
+    blocked[:, 30] = True
+    blocked[door, 30] = False
+    return blocked
+
+
+@pytest.mark.parametrize(
+    "blocked",
+    [wall_of_a_cell([]), wall_of_a_cell([1, 2]), np.random.default_rng(4).random((60, 68)) < 0.4],
+    ids=["two rooms", "with a door", "general"],
+)
+def test_a_place_is_reachable_where_the_planner_finds_a_way(blocked) -> None:
+    blocked[50:53, 5:8] = False
+    clearance, start = Clearance(0.05, 0.22, 0.5), Pose(0.33, 2.57, 0.0)
+    clearance.box, clearance.seen, clearance.obstacles = Box(0, 0, *blocked.shape), ~blocked, blocked
+    clearance.blocked, clearance.metres = blocked, np.where(blocked, np.float32(0.0), np.float32(0.3))
+    space = clearance.free_space(0.5)
+    map_ = SimpleNamespace(clearance=clearance, free_space=lambda pose: space)
+    view = ViewMap(map_, start, (0.0, 0.0, 3.4, 3.0), 0.5, RADIUS, np.zeros_like(blocked))
+    for row, col in np.argwhere(~blocked)[::23].tolist():
+        plan = AStar().plan(space, start.position, space.centre(row, col))
+        assert view.reachable[row, col] == plan.found
+        assert np.isfinite(view.lengths_m([(row, col)])[0]) or not plan.found
+    assert not view.reachable[blocked].any()
+    assert view.reachable.ravel()[view.places[view.places >= 0]].all()
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -80,7 +80,7 @@ def _keeps_to_gaps(offsets: Floats, x0: float, y0: float, x1: float, y1: float, 
         down, across = offsets[row, col]
         if down != 0.0 or across != 0.0:
             x, y = col + 0.5 + across - x0, row + 0.5 + down - y0
-            along = min(max((x * (x1 - x0) + y * (y1 - y0)) / max(length * length, 1e-12), 0.0), 1.0)
+            along = min(max((x * (x1 - x0) + y * (y1 - y0)) / (length * length), 0.0), 1.0) if length > 0.0 else 0.0
             if math.hypot(x - along * (x1 - x0), y - along * (y1 - y0)) > tolerance:
                 return False
     return True
