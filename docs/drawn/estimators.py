@@ -6,7 +6,7 @@ import numpy as np
 
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.figures import new_axes, plot
-from sixthsense.figures.plot import CYCLE
+from sixthsense.figures.overtime import style_of
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.circle import STEP_S, follow, simulate
 
@@ -21,9 +21,9 @@ def main() -> None:
     figure, (left, right) = new_axes(1, 2, 13.0, 5.2)
     right.axhspan(*nees_band(RUNS, 1), color="0.92", label=f"95 % band of a step, {RUNS} runs")
     window = np.ones(WINDOW) / WINDOW
-    for name, color, width in zip(ESTIMATORS, CYCLE, (2.4, 2.0, 1.8, 1.4, 1.2), strict=False):
+    for k, name in enumerate(ESTIMATORS):
         tracks = [follow(name, one) for one in evidence]
-        style = {"color": color, "linewidth": width, "label": name}
+        style = style_of(k) | {"label": name}
         left.plot(time_s, np.sqrt(np.mean([track.position_m**2 for track in tracks], axis=0)), **style)
         mean = np.mean([track.nees_heading for track in tracks], axis=0)
         right.plot(time_s[WINDOW - 1 :], np.convolve(mean, window, "valid"), **style)

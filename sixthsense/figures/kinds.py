@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,7 @@ from sixthsense.figures.plot import CYCLE, MAP_WIDTH_IN, draw_exploration, draw_
 WIDTH_IN = 7.5
 """of most figures, which are legible at 500 pixels"""
 
+_COLUMN_LETTERS = 44  # of a line of a legend that a column of a journal has room for
 _ERRORS = (("position_m", "position error [m]", 1.0), ("heading_rad", "heading error [°]", float(np.degrees(1.0))))
 _RELATIVE = (("trans_m", "relative translation error [m]"), ("rot_deg", "relative rotation error [°]"))
 _QUANTILES = (0.1, 0.5, 0.9)
@@ -113,17 +115,21 @@ def plot(
 def _on_axes(kind: Kind, curves: Sequence[Curve], panels: list[Any], over: Over, count: int) -> None:
     """Draw on the caller's axes: as many as the figure has panels, or one for the main panel of those without one each.
 
-    They keep their titles, and have a legend in the size of the caller's font.
+    They keep their titles, and have a legend in the size of the caller's font; a map has it above, as it hides walls.
     """
     if not all(hasattr(one, "get_legend_handles_labels") for one in panels):
         raise InputError("ax", f"found {shown(panels)}", "Axes of matplotlib, one or several")
     if len(panels) != count and (kind.per_run or len(panels) != 1):
         raise InputError("ax", f"found {len(panels)} axes", f"{count}")
     kind.draw(curves, panels, over)
+    is_map = kind.draw in (_maps, _explorations)
+    place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2} if is_map else {}
     for one in panels:
         in_millimetres(one)
-        if one.get_legend_handles_labels()[1]:
-            one.legend(frameon=False, fontsize="small")
+        handles, names = one.get_legend_handles_labels()
+        if names:
+            names = [textwrap.fill(name, _COLUMN_LETTERS) for name in names]
+            one.legend(handles, names, frameon=False, fontsize="small", **place)
 
 
 def _entitle(picture: Any, panels: Sequence[Any], kind: Kind, curves: Sequence[Curve], over: Over) -> None:

@@ -24,13 +24,20 @@ AXIS_LABELS = {"time": "time [s]", "distance": "distance travelled [m]"}
 """of the axes that curves are drawn over"""
 
 _WINDOWS = 15  # of running means, along a curve
+_FEW_DECADES = 50.0  # highest over lowest value of an axis of NEES: beyond there are fewer ticks
 _DASHES = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1.5, 1.5)))
 
 
 def style_of(k: int) -> dict[str, Any]:
-    """Colour, line and width of the k-th curve: the later, the thinner and dashed, so that equal curves show each."""
+    """Colour, line and width of the k-th curve: the later, the thinner and dashed, so that equal curves show each.
+
+    Widths are those of Matplotlib's `lines.linewidth`.
+    """
+    from matplotlib import rcParams
+
     color, dashes = CYCLE[k % len(CYCLE)], _DASHES[k % len(_DASHES)]
-    return {"color": color, "linestyle": dashes, "linewidth": max(1.0, 2.4 - 0.3 * k)}
+    width = max(0.7, 1.6 - 0.2 * k) * float(rcParams["lines.linewidth"])
+    return {"color": color, "linestyle": dashes, "linewidth": width}
 
 
 def running_mean(values: Array) -> Array:
@@ -103,13 +110,15 @@ def scale_nees(
     if len(found) == 1:
         ax.axhspan(*found[0].band, **BAND | {"color": "#888888"}, label="95 % band of the mean")
     ax.axhline(dof, color=TRUTH, linewidth=0.5)
-    ax.set_yscale("log")
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0), numticks=12))
-    ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     together = np.concatenate([one[np.isfinite(one)] for one in nees])
     bottom, top = np.percentile(together, [2.0, 100.0]) if len(together) else (low, high)
-    ax.set_ylim(max(0.7 * min(low, bottom), 0.02), 1.4 * max(high, top))
+    bottom, top = max(0.7 * min(low, bottom), 0.02), 1.4 * max(high, top)
+    ax.set_yscale("log")
+    ax.set_ylim(bottom, top)
+    subs = (1.0, 2.0, 3.0, 5.0) if top < _FEW_DECADES * bottom else (1.0, 3.0)
+    ax.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     ax.set(xlabel=AXIS_LABELS[over], ylabel="NEES [1]")
 
 
