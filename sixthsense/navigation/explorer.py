@@ -17,7 +17,8 @@ from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
 
-_STOPS = 12  # views in a tour: those with the shortest ways from the robot
+# Views in a tour: those with the shortest ways from the robot. With twice as many a choice takes 1.4 times as long.
+_STOPS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
