@@ -72,3 +72,13 @@ def test_the_pose_and_the_squared_innovation_of_matches_together(case):
     assert np.allclose(pose.array(), Pose.from_array(estimate.pose.array() + gain @ with_pose[index]).array())
     assert found.nis([seen[i] for i in rows], cols) == pytest.approx(y @ gain)
     assert found.worth(np.array([2, 1, -1, 3]), 11.0) == pytest.approx(33.0 - y @ gain)
+
+
+def test_the_innovation_of_one_wall_and_what_a_square_metre_adds_to_its_covariance(case):
+    seen, estimate, joint = case
+    found = compare(Observed.of(seen), SQUARES, estimate, np.arange(4), joint)
+    values, noise, predicted, _ = pairwise(*case)
+    for i in (0, 2):
+        value, cov, added = found.innovation(seen[i], 2)
+        assert np.allclose(value, values[i, 2]) and np.allclose(cov, predicted[4:6, 4:6] + noise[i, 2])
+        assert np.array_equal(added, unit_cov(0.5, 2.0, True))

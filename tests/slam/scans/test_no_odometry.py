@@ -1,7 +1,6 @@
 """Scan matching without odometry: the last velocity predicts, and its covariance is honest."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +8,6 @@ from rooms import CORNERS, RING, ROOM, drive, ticks
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.slam.estimators.motion_source import LastVelocity, scan_clock
 from sixthsense.slam.scans import front_end, tracking
 from sixthsense.slam.slam import Slam
 
@@ -77,48 +74,3 @@ def test_of_a_bare_corridor_the_covariance_says_that_the_motion_is_hidden():
     along, across, _ = np.sqrt(np.diag(estimate.pose_cov))
     assert abs(estimate.pose.x - poses[-1].x) < 3.0 * along
     assert across < 0.05 < along
-
-
-def predicted(velocity, duration_s, is_scan):
-    """The motion of a tick with a scan, or without one."""
-    return velocity.increment(Pose(), SimpleNamespace(scan=True if is_scan else None), duration_s)
-
-
-def test_the_guess_grows_with_time_and_is_least_known_at_first():
-    velocity = LastVelocity()
-    first = predicted(velocity, 0.2, True)
-    assert first.motion == Pose() and np.sqrt(first.cov[0, 0]) == pytest.approx(0.2, rel=0.1)
-    parts, whole = LastVelocity(), LastVelocity()
-    two = predicted(parts, 0.1, False).cov + predicted(parts, 0.1, False).cov
-    np.testing.assert_allclose(two, predicted(whole, 0.2, False).cov, rtol=1e-9)
-
-
-def test_of_a_guess_that_share_goes_on_which_the_time_since_the_velocity_was_known_makes():
-    velocity = LastVelocity()
-    velocity._cov = np.zeros((3, 3))  # known exactly, .5 s before the end and .2 s before the keyframe
-    predicted(velocity, 0.2, False)
-    velocity.begin_anew()
-    since = STANDSTILL.then(predicted(velocity, 0.3, False))
-    np.testing.assert_allclose(velocity.for_estimator(since).cov, (1.0 + 0.5 / 0.3) * since.cov, rtol=1e-9)
-
-
-def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():
-    period = scan_clock()
-    rng = np.random.default_rng(0)
-    periods = [period(stated) for stated in rng.choice([0.0, 0.4], 200)]
-    assert np.abs(np.array(periods[100:]) - 0.2).max() < 0.1
-    assert period(3.0) == 3.0
-
-
-def test_what_a_scan_is_off_by_within_a_millisecond_is_no_velocity_of_metres_a_second():
-    """The way of a millisecond is known better than any scan tells it: 4 mm are the scan's error."""
-    velocity, cov, since = LastVelocity(), np.diag([9e-6, 9e-6, 4e-6]), STANDSTILL
-    for k in range(1, 4):  # the robot moves at .5 m/s, a scan each .2 s
-        since = since.then(predicted(velocity, 0.2, True))
-        since = velocity.aligned(since, Odometry(Pose(0.1 * k, 0.0, 0.0), cov))
-    for off in (0.004, -0.004):
-        velocity.begin_anew()
-        since = STANDSTILL.then(predicted(velocity, 1e-3, False))
-        since = velocity.aligned(since, Odometry(Pose(since.motion.x + off, off, 0.0), cov))
-        after = predicted(velocity, 0.2, False).motion
-        assert np.hypot(after.x, after.y) < 0.3
