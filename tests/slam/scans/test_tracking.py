@@ -71,12 +71,16 @@ def test_fewer_returns_on_lines_than_usual_are_evidence_against_a_pose():
     true = scan_at(TRUE)
     uneven = true.ranges + np.resize([0.05, -0.05, 0.0], len(true.ranges)).astype(np.float32)
     views, prior = views_and_prior(dataclasses.replace(true, ranges=uneven), TRUE)
-    found = tracked_at(views, prior, prior, TRUE.array(), 0.25, USUAL, False)
-    assert found.lines < 0.75
-    alike, fewer = (
-        tracked_at(views, prior, prior, TRUE.array(), 0.25, Usual(0.05, usual), False) for usual in (found.lines, 0.97)
-    )
+
+    def usually(lines):
+        return tracked_at(views, prior, prior, TRUE.array(), 0.25, Usual(0.05, lines), False)
+
+    found = usually(USUAL.lines).lines
+    assert found < 0.75
+    alike, fewer = usually(found), usually(0.97)
     assert fewer.lines == alike.lines and fewer.log_odds < alike.log_odds - 2.0
+    shares = np.linspace(0.05, 0.95, 19)
+    assert shares[np.argmax([usually(share).log_odds for share in shares])] == pytest.approx(found, abs=0.1)
 
 
 def test_the_newest_scan_has_a_fiftieth_of_what_is_usual():
