@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 
+from scipy import ndimage
 from scipy.special import ndtri
 
 from sixthsense.config import Config
@@ -93,6 +94,7 @@ class PathPlanner:
         self.plans_by_astar: int | None = None if type(planner) is AStar else 0
         """how many of them are A*'s because the configured planner found none; None if that is A*"""
         self._planner, self._config = planner, config
+        self._has_path = True  # at the last plan
 
     def plan(self, map_: DrivingMap, pose: Pose, goal: Array) -> Array | None:
         """The way points (N, 2) from a pose to `goal` (2,); None if there is no path."""
@@ -101,7 +103,11 @@ class PathPlanner:
         # A goal just inside what is blocked is reached from the nearest free place within the slack.
         free_goal = space.nearest_free(goal, GOAL_SLACK_M - config.follow.distance_slack_m)
         goal = goal if free_goal is None else free_goal
+        # A search without a path visits all cells that are reached. One is enough until the cells are joined.
+        if not (self._has_path or _are_joined(space, start, goal)):
+            return None
         plan = self._planned(space, start, goal)
+        self._has_path = plan.found
         if not plan.found:
             return None
         self.plans.append(plan.path_world)
@@ -118,3 +124,9 @@ class PathPlanner:
             plan = AStar().plan(space, start, goal)
             self.plans_by_astar += plan.found
         return plan
+
+
+def _are_joined(space: FreeSpace, start: Array, goal: Array) -> bool:
+    """Whether cells that are not blocked lead from one place (2,) to another across their edges."""
+    areas, _ = ndimage.label(~space.blocked)
+    return bool(areas[space.cell_of(start)] == areas[space.cell_of(goal)])

@@ -16,6 +16,7 @@ from sixthsense.navigation.goals import Goals
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners import Plan
+from sixthsense.navigation.planners.astar import AStar
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid, Walls
@@ -218,3 +219,25 @@ def test_a_way_keeps_the_wish_in_the_open_and_not_through_a_door_between_its_poi
     add_walls(grid, [[[1.5, -4.0], [1.5, -0.35]], [[1.5, 0.35], [1.5, 4.0]]])
     map_.update(grid, believed(Pose(), 0.3))
     assert not map_.keeps_wish(way) and map_.keeps_wish(way[:1])
+
+
+def test_no_path_is_searched_for_again_until_cells_join_robot_and_goal() -> None:
+    class Counting(AStar):
+        count = 0
+
+        def plan(self, space, start, goal):
+            self.count += 1
+            return super().plan(space, start, goal)
+
+    planner, goal, closed = Counting(), np.array([2.0, 0.1]), empty_grid()
+    paths = PathPlanner(planner, CONFIG)
+    add_walls(closed, BOX)
+    for grid, is_path, count in (
+        (empty_grid(), True, 1),
+        (closed, False, 2),
+        (closed, False, 2),
+        (empty_grid(), True, 3),
+    ):
+        map_ = DrivingMap(0.2, CONFIG, stays_near_seen=False)
+        map_.update(grid, believed(Pose()))
+        assert ((paths.plan(map_, Pose(), goal) is not None), planner.count) == (is_path, count)
