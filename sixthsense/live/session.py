@@ -282,7 +282,7 @@ def _where(config: Config, trace: Trace) -> str:
     col, row = np.floor((np.array([gx, gy]) - grid.origin) / config.grid.cell_m).astype(int)
     is_seen = 0 <= row < grid.seen.shape[0] and 0 <= col < grid.seen.shape[1] and grid.seen[row, col]
     where = "" if is_seen else ", outside of all that was seen"
-    return f"the goal is at {gx:.2f} {gy:.2f}, frame `map`{where}; the robot is at {x:.2f} {y:.2f}"
+    return f"the goal is at {gx:.2f} {gy:.2f}, frame map{where}; the robot is at {x:.2f} {y:.2f}"
 
 
 def _navigator(config: Config, start: Pose, radius_m: float) -> Navigator:

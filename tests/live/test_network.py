@@ -363,7 +363,7 @@ def test_a_goal_outside_of_all_that_was_seen_is_named_with_its_frame_and_where_t
     grid = Grid(config.grid, 0.2)
     grid.add(Pose(), Scan(np.full(90, 3.0, dtype=np.float32), np.float32(-3.1), np.float32(0.07), 9.0))
     trace = SimpleNamespace(estimates=[(1.0, 0.25, 0.3)], draw_map=lambda: grid)
-    at = "frame `map`, outside of all that was seen; the robot is at 1.00 0.25"
+    at = "frame map, outside of all that was seen; the robot is at 1.00 0.25"
     assert _where(config, trace) == f"the goal is at 7.00 -9.50, {at}"
     assert "outside" not in _where(config.replaced(goal=(1.0, -0.5)), trace)
 
