@@ -63,6 +63,15 @@ def test_a_notebook_is_small_enough_to_be_kept_in_every_version(notebook: Path) 
     assert notebook.stat().st_size < MOST_BYTES
 
 
+def test_what_a_student_has_written_is_used_in_the_cells_after_it(notebook: Path) -> None:
+    """Or in earlier ones that they call, if it is kept in a table of answers, `OWN`."""
+    sources = ["".join(cell["source"]) for cell in code_cells(notebook)]
+    checks = [k for k, source in enumerate(sources) if 'check("' in source]
+    for k in checks:
+        name, is_kept, _ = sources[k].partition(" = check(")
+        assert is_kept and any(name in other for n, other in enumerate(sources) if n > k or (n < k and "[" in name))
+
+
 def package_names(notebook: Path) -> set[str]:
     """Full names of what a notebook imports from the package or takes as an attribute of `ss`."""
     cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
