@@ -238,19 +238,19 @@ class LiveRobot:
         self._last = self._due.popleft() if self._wait() else None
         return self._last
 
-    def begin(self) -> Pose | None:
-        """Wait for the first tick; the odometry of it, None when the run is to end."""
-        return self._due[0].odometry if self._wait() else None
+    def begin(self, most_s: float = math.inf) -> Pose | None:
+        """Wait for the first tick, at most so long; the odometry of it, None when the run is to end."""
+        return self._due[0].odometry if self._wait(self._now_ns() + 1e9 * most_s) else None
 
     def odom_in_map(self, tick: Tick, T_map_robot: Pose) -> Pose:
         """The frame of odometry in that of the map, by the robot's pose at a tick."""
         T_odom_robot = self.joiner.T_joined_odom.inverse() @ tick.odometry
         return T_map_robot @ T_odom_robot.inverse()
 
-    def _wait(self) -> bool:
-        """Wait for a tick; false when the run is to end."""
+    def _wait(self, until_ns: float = math.inf) -> bool:
+        """Wait for a tick; false when the run is to end, or none has come by then."""
         while not self._due:
-            if is_command_ended() or self.outcome is not None:
+            if is_command_ended() or self.outcome is not None or self._now_ns() > until_ns:
                 return False
             self._turn()
         return True

@@ -149,9 +149,11 @@ class Session:
                 self._refuse_start,
                 hook,
             )
-            if (first := robot.begin()) is None:
+            if (first := robot.begin(config.max_time or math.inf)) is None:
                 if robot.outcome is not None:
                     raise InputError(self._topics.scan, f"found {robot.outcome}", "one robot")
+                if not is_command_ended():
+                    raise InputError(self._topics.scan, "found no scan with odometry after it", "stamps of one clock")
                 raise KeyboardInterrupt
             recorded_drive(robot, first, pilot, trace, hooks, prior)
         by_user = ENDED_BY_USER if trace.outcome == "interrupted" and is_ended_by_ctrl_c() else trace.outcome

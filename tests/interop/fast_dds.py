@@ -70,8 +70,11 @@ def test_a_robot_is_driven_to_a_place(peer, tmp_path):
     assert run.returncode == 0 and heard["/cmd_vel"]["count"] > 20 and heard["worst_m"] < 0.1
 
 
-def test_a_run_without_a_pose_ends_with_its_summary(peer, tmp_path):
+def test_a_run_whose_scans_are_ahead_of_all_odometry_ends_when_its_time_is_up(peer, tmp_path):
     with robot(peer, "--ahead", "5"):
         run = live(tmp_path, "--max-time", "3")
         out, err = run.communicate(timeout=120)
-    assert run.returncode == 0 and "written to x/" in out and "scan without odometry" in err
+    assert run.returncode == 2 and not out and not list(tmp_path.glob("x*"))
+    assert (
+        "scan without odometry" in err and "found no scan with odometry after it, allowed: stamps of one clock" in err
+    )

@@ -266,6 +266,13 @@ is_listened_to = pytest.mark.parametrize("bench", [False], indirect=True)
 FORWARD = Command(0.2, 0.0)
 
 
+def test_a_run_begins_with_its_first_scan_or_not_at_all(bench):
+    bench.has_scans = False
+    assert bench.robot.begin(3.0) is None and 3000 < bench.now_ms < 3100 and bench.commands(0) <= {Command()}
+    bench.has_scans = True
+    assert bench.robot.begin(3.0) is not None
+
+
 def test_a_robot_is_steered_once_by_each_odometry_from_where_the_last_tick_was(bench):
     bench.run(2000)
     assert bench.commands(200) == {FORWARD} and not bench.lines and bench.robot.odom_frame == "wheels"
