@@ -266,13 +266,6 @@ is_listened_to = pytest.mark.parametrize("bench", [False], indirect=True)
 FORWARD = Command(0.2, 0.0)
 
 
-def test_a_run_begins_with_its_first_scan_or_not_at_all(bench):
-    bench.has_scans = False
-    assert bench.robot.begin(3.0) is None and 3000 < bench.now_ms < 3100 and bench.commands(0) <= {Command()}
-    bench.has_scans = True
-    assert bench.robot.begin(3.0) is not None
-
-
 def test_a_robot_is_steered_once_by_each_odometry_from_where_the_last_tick_was(bench):
     bench.run(2000)
     assert bench.commands(200) == {FORWARD} and not bench.lines and bench.robot.odom_frame == "wheels"
@@ -306,13 +299,14 @@ def test_a_sensor_that_is_silent_for_400_ms_stops_the_robot_and_a_shorter_pause_
 
 
 @is_listened_to
-def test_a_robot_that_is_listened_to_is_silent_after_two_seconds(bench):
+def test_a_robot_that_is_listened_to_is_silent_after_two_seconds_and_a_run_waits_no_longer_than_it_is_to_last(bench):
     bench.run(1000)
     bench.has_scans = False
     bench.turn(3000)
     assert not bench.lines
     bench.turn(3040)
-    assert bench.lines == ["laser is silent"]
+    bench.robot._due.clear()
+    assert bench.lines == ["laser is silent"] and bench.robot.begin(1.0) is None and 4000 < bench.now_ms < 4100
 
 
 def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
