@@ -179,7 +179,7 @@ class ScanFrontEnd:
         # One that fitted nothing may have been seen from elsewhere than the wheels say: the next ones look past it.
         recent = ([key for key in latest if key not in self._lost] or list(latest))[1 - TARGETS :]
         targets = np.array([*recent, *graph.linked_old(recent[-1], recent[-1])[:1]])
-        views = Views(self._store.returns, row, targets, graph.poses[targets], graph.factor())
+        views = Views(self._store.returns, row, targets, graph.poses[targets], max(1.0, graph.factor))
         tracked = track(views, expectation.prior, expectation.starts, graph.usual, source.is_guess)
         if tracked.is_lost:
             near = of_last_metres(graph.travelled_m, self.newest)
@@ -290,7 +290,7 @@ def refined(graph: ScanGraph, scans: list[TrackedScan], mount: Triple) -> Array:
         by_wheels = with_wheel_errors(each.odometry)
         cov = move_covariance((0.0, 0.0, float(at[2])), move_covariance(inverse(mount), by_wheels.cov))
         prior = Prior(at, inverse_covariance(cov), SLIP_SIGMAS)
-        views = Views(store.returns, store.put(each.scan), references, poses[references], graph.factor())
+        views = Views(store.returns, store.put(each.scan), references, poses[references], max(1.0, graph.factor))
         found = aligned(views, prior, at, 0.0).pose
         motions[k] = compose(compose(to_laser, between(poses[each.key], found)), back)
     return motions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ LOSS = 4.0
 _CORRELATION = 0.0625  # of two links of one scan, by the NEES of drives in rooms
 _SQUARES = chi_square_quantile(np.arange(0.0005, 1.0, 0.001), 3)  # of right links, equally likely ones
 _WEIGHTED = float(np.mean(_SQUARES / (1.0 + _SQUARES / LOSS**2)) / np.mean(_SQUARES))  # left of them by the loss
+_LEAST_FACTOR = 0.5  # a beam meets a wall at any angle, and its noise across it has the squared cosine's mean, at least
+_FACTOR_MOVES = 1.5  # ratio of the factor to the one before, beyond which all links are given again
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 
 # `pose` is T_world_laser, `step` the variances of position and heading of the motion from the keyframe before, m^2 and
@@ -114,8 +117,8 @@ class ScanGraph(PlacedScans):
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of keyframes when all poses were read"""
-        self._factor = 1.0
-        """the variance factor when all poses were read"""
+        self.factor = 1.0
+        """the variance factor: what the covariances that scans state are multiplied with in the graph"""
 
     @property
     def is_kept(self) -> NDArray[np.bool_]:
@@ -125,7 +128,7 @@ class ScanGraph(PlacedScans):
     def refresh(self) -> None:
         """Read all poses from the estimator."""
         self.poses[:] = compose(self.estimator.trajectory(), self.mount)
-        self._refreshed, self._factor = self.count, self._fitted_factor()
+        self._refreshed = self.count
 
     def link(self, key: int, old: Keys, closure: int, is_new: bool = False) -> None:
         """Link a keyframe to old ones near it, and if it `is_new` to those before it since the robot was last carried.
@@ -153,20 +156,39 @@ class ScanGraph(PlacedScans):
         rows = np.zeros(len(is_old), LINK)
         rows["ends"] = np.column_stack([found.targets, found.sources])
         rows["pose"] = found.poses
-        rows["weight"] = (_independent(after) - _independent(before)) / ((after - before) * self.factor())
+        rows["weight"] = (_independent(after) - _independent(before)) / ((after - before) * self.factor)
         rows["cov"] = covariances(found.hessians, self._sigma_m) / rows["weight"][:, None, None]
         rows["is_old"], rows["closure"], rows["closes"] = is_old, np.where(is_old, closure, -1), closes
-        loss, given = np.inf if closes else LOSS, self.robot_links(rows)
-        measured = zip(given.ends.tolist(), given.motions.tolist(), given.covs, strict=True)
-        links = [Link(a, b, Odometry(Pose(*motion), cov), loss) for (a, b), motion, cov in measured]
-        rows["id"] = self.estimator.link(links)
+        self._give(rows)
         self._append(rows)
         if closes or self.count - self._refreshed >= PERIOD:
             self.refresh()
+            if not closes:
+                self._weigh()
             return
         # The newest poses have moved, and those that links lead to.
         keys = sorted({*range(max(0, self.count - LINKS - 1), self.count), *found.targets[is_old].tolist()})
         self.poses[keys] = compose(self.estimator.poses_at(keys), self.mount)
+
+    def _give(self, rows: Rows) -> None:
+        losses = np.where(rows["closes"], np.inf, LOSS / math.sqrt(min(1.0, self.factor)))
+        given = self.robot_links(rows)
+        measured = zip(given.ends.tolist(), given.motions.tolist(), given.covs, losses.tolist(), strict=True)
+        links = [Link(a, b, Odometry(Pose(*motion), cov), loss) for (a, b), motion, cov, loss in measured]
+        rows["id"] = self.estimator.link(links)
+
+    def _weigh(self) -> None:
+        """Give all links again if the variance factor has moved: those of the beginning would count more or less."""
+        factor, links = self._fitted_factor(), self.links.copy()
+        ratio = factor / self.factor
+        if max(ratio, 1.0 / ratio) > _FACTOR_MOVES:
+            self.factor, old = factor, links["id"].tolist()
+            links["cov"] *= ratio
+            links["weight"] /= ratio
+            self._give(links)
+            self.estimator.unlink(old)
+            self.links = self._rows = links
+            self.refresh()
 
     def remove(self, which: NDArray[np.bool_]) -> None:
         """Take some of the links back."""
@@ -204,14 +226,6 @@ class ScanGraph(PlacedScans):
         ends = np.ascontiguousarray(links["ends"])
         return PoseLinks(ends, np.array(motions).reshape(-1, 3), np.array(covs).reshape(-1, 3, 3))
 
-    def factor(self) -> float:
-        """The variance factor of returns: what the covariances of scans are multiplied with, at least 1.
-
-        Where scans fit each other worse than they state, as among crooked or moved things, they count less. Where they
-        fit better that is no evidence: what all have in common does not show.
-        """
-        return max(1.0, self._factor)
-
     def _fitted_factor(self) -> float:
         """The a posteriori variance of unit weight of the last links, as of a least-squares adjustment.
 
@@ -224,9 +238,12 @@ class ScanGraph(PlacedScans):
             return 1.0
         squares = self.squares(links) / links["weight"]
         redundancy = 3 * (len(links) - len(np.unique(links["ends"][:, 1])))
-        # Weighted as in the graph: a few wrong links are no evidence of the others. Of right ones so much is left.
-        squares /= _WEIGHTED * (1.0 + squares / (LOSS**2 * self._factor))
-        return float((squares.sum() + PRIOR_COUNT) / (redundancy + PRIOR_COUNT))
+        factor = self.factor
+        for _ in range(5):
+            # Weighted by the loss: a few wrong links are no evidence of the others. Of right ones so much is left.
+            weighted = squares / (_WEIGHTED * (1.0 + squares / (LOSS**2 * factor)))
+            factor = float((weighted.sum() + PRIOR_COUNT) / (redundancy + PRIOR_COUNT))
+        return max(_LEAST_FACTOR, factor)
 
     def squares(self, links: Rows) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""

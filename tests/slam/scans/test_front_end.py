@@ -60,9 +60,17 @@ def test_two_loops_with_bad_wheels_close():
 def test_a_loop_that_a_log_ends_in_is_closed_at_its_end():
     laser = {"beams": 181, "fov": np.pi, "max_range": 6.0}
     poses = drive(Pose(-9.0, -6.0, 0.0), [*CORNERS[:3], (-9.0, -5.0)])
-    poses += drive(poses[-1], [(-8.4, -6.0)])[1:6]  # it looks along its first metres for half a second
+    poses += drive(poses[-1], [(-8.4, -6.0)])[1:12]  # it looks along its first metres for a second
     wheels = {"scale": 1.08, "drift": 0.04, "laser": LaserConfig(**laser)}
-    _, result, causal, last_key = run(merge(CONFIG, {"laser": laser}), poses, RING, **wheels)
+    # Of a bare corridor these few scans would fit a metre farther on, too.
+    things = [
+        [[-7.2, -6.9], [-6.7, -6.6]],
+        [[-6.7, -6.6], [-6.5, -7]],
+        [[-6, -5], [-5.8, -5.5]],
+        [[-5.8, -5.5], [-5, -5]],
+    ]
+    walls = np.concatenate([RING, things])
+    _, result, causal, last_key = run(merge(CONFIG, {"laser": laser}), poses, walls, **wheels)
     end = poses[int(np.argmax(last_key))].array()
     off_before = causal[np.argmax(last_key)] - end
     off = result.trajectory[-1] - end
