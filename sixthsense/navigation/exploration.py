@@ -27,12 +27,12 @@ from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.clearance import Clearance
 from sixthsense.navigation.driver import PATIENT_TURNS
 from sixthsense.navigation.explorer import ExplorationView, Explorer, Target
-from sixthsense.navigation.frontier import Region
+from sixthsense.navigation.frontier import LEAST_AREA_M2, Region
 from sixthsense.navigation.gridsearch import Cell
 from sixthsense.navigation.navigator import Event, Goal, Outcome
 from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import LOST_M, PoseHistory
-from sixthsense.navigation.unseen_places import LEAST_AREA_M2, UnseenPlace, unseen_places
+from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools

@@ -21,6 +21,8 @@ Region = tuple[float, float, float, float]
 """x0, y0, x1, y1, world frame, metres."""
 PIECE_M = 1.0
 """longer frontiers are split"""
+LEAST_AREA_M2 = 0.1
+"""smaller unseen areas are neither looked at nor counted as left: for each the robot would cross the building"""
 _AROUND = np.ones((3, 3), dtype=np.bool_)
 _BESIDE = np.argwhere(ndimage.generate_binary_structure(2, 1)) - 1
 
@@ -53,7 +55,7 @@ class Known(NamedTuple):
     free: Bools
     """(H, W) known, and no obstacle"""
     unseen: Bools
-    """(H, W) unseen areas of the region, with what continues them outside, as far as a margin"""
+    """(H, W) unseen areas of the region, with what continues them outside, as far as a margin, but for the smallest"""
 
     @classmethod
     def of(cls, seen: Bools, obstacles: Bools, first: Cell, cell_m: float, region: Region, outside_m: float) -> Known:
@@ -67,7 +69,9 @@ class Known(NamedTuple):
         inside = cells_within(region, cell_m, -0.5 * cell_m).within(first, near.shape)
         is_inside[areas[inside].ravel()] = True
         is_inside[0] = False
-        return cls(~(unknown | obstacles), is_inside[areas])
+        free = ~(unknown | obstacles)
+        is_inside &= np.bincount(areas.ravel()) * cell_m**2 >= LEAST_AREA_M2
+        return cls(free, is_inside[areas])
 
 
 def frontier_pieces(free: Bools, unseen: Bools, first: Cell, cell_m: float, robot: tuple[Cell, float]) -> list[Piece]:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.clearance import OPPOSITE
-from sixthsense.navigation.frontier import middle_cell
+from sixthsense.navigation.frontier import LEAST_AREA_M2, middle_cell
 from sixthsense.navigation.gridsearch import Cell, Links, ways_from
 from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import mark_visible
@@ -19,8 +19,6 @@ from sixthsense.slam.mapping.grid import Grid
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
-LEAST_AREA_M2 = 0.02
-"""a place counts as left unseen if it is at least this large: eight cells, which noise at edges does not reach"""
 _WIDEST = 8.0  # power of 1 / clearance that a way costs: so high that its narrowest gap counts alone
 
 

@@ -162,6 +162,14 @@ def test_openings_that_are_narrower_than_the_robot_are_no_frontier(opening: int,
         assert (np.abs(piece.cells - (35, 60)).max(axis=0) <= (6, 1)).all()
 
 
+@pytest.mark.parametrize(("cols", "is_wanted"), [(7, False), (8, True)])
+def test_areas_too_small_to_cross_the_building_for_are_not_looked_at(cols: int, is_wanted: bool) -> None:
+    seen = np.ones((60, 90), dtype=bool)
+    seen[20:25, 30 : 30 + cols] = False  # 5 by 7 cells of 5 cm are less than 0.1 m^2
+    known = Known.of(seen, np.zeros_like(seen), (0, 0), 0.05, (0.0, 0.0, 4.5, 3.0), 0.5)
+    assert np.array_equal(known.unseen, ~seen if is_wanted else np.zeros_like(seen))
+
+
 def test_figures_draw_the_frontier_that_is_explored_by() -> None:
     stage = Stage(two_rooms(1.0))
     region = (0.0, 0.0, 8.0, 3.0)
