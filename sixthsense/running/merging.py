@@ -92,12 +92,13 @@ def replay_merged(merged: Merged, folder: RunFolder | None, watch: RunHooks) -> 
     def check(run: Run) -> None:
         trace = run.trace
         if trace.outcome == "interrupted":
+            if (verdict := trace.verdict) is not None and verdict.level == "good":
+                trace.verdict = dataclasses.replace(verdict, level="unjudged", probability=None, reason="interrupted")
             return
         first = np.searchsorted(trace.key_stamps_ns, merged.begin_ns)
         links = 0 if trace.links is None else int(((trace.links.ends < first).sum(axis=1) == 1).sum())
         if not links:
-            found = "found no scan of the second run that could be linked to the first"
-            raise InputError("merge", found, "two runs that share a part of one building")
+            raise InputError("merge", "found no scan that could be linked to the first run", "two runs of one building")
         if trace.verdict is not None and trace.verdict.level == "broken":
             raise InputError("merge", f"found a map that is {trace.verdict} ({links:,} links)", "runs that agree")
         between, own = contradicted_between(trace.witnesses(), int(first))
@@ -129,8 +130,7 @@ def _begin(slam: Slam, ticks: Sequence[Tick], relocalizer: Relocalizer) -> Pose 
     """Where a run begins in the map, once a place of it is certain; None if none ever is."""
     for tick in ticks:
         step = slam.take(tick)
-        found = None if step.scan is None else relocalizer.take(step.scan, step.pose)
-        if found is not None:
+        if step.scan is not None and (found := relocalizer.take(step.scan, step.pose)) is not None:
             return found
     return relocalizer.place
 

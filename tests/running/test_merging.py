@@ -137,7 +137,8 @@ def test_a_second_run_that_no_link_joins_to_a_first_one_that_was_carried_is_refu
     assert list(here.iterdir()) == []
     monkeypatch.setattr(interrupt._signals, "ctrl_c_s", -np.inf)
     press = dataclasses.replace(QUIET, on_tick=lambda tick, trace: len(trace.stamps_ns) == 5 and signal.raise_signal(2))
-    assert replay_merged(joined(monday, recorded(runs / "other")), None, press).outcome == "interrupted"
+    interrupted = replay_merged(joined(monday, recorded(runs / "other")), None, press)
+    assert interrupted.outcome == "interrupted" and interrupted.verdict.level == "unjudged"
 
 
 def test_runs_that_contradict_each_other_more_than_each_itself_are_refused(runs, here, monkeypatch):
