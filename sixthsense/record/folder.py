@@ -59,13 +59,13 @@ class RunFolder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        """Leave nothing behind of a run that bad input or Ctrl-C has stopped before its first record; keep all else."""
+        """Leave nothing behind of a run that was stopped before its first record; keep all else."""
         try:
             self.record.close()
         finally:
-            if kind is not None and issubclass(kind, (InputError, KeyboardInterrupt)) and not has_record(self.partial):
+            if kind is not None and not has_record(self.partial):
                 shutil.rmtree(self.partial, ignore_errors=True)
-            if isinstance(error, MemoryError | PartError):
+            elif isinstance(error, MemoryError | PartError):
                 error.add_note(f"the record so far is in {self.partial}")
             self._lock.release()
 

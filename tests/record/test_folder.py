@@ -114,9 +114,9 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
 
 @pytest.mark.parametrize(("error", "has_record", "is_left"), [
     (InputError("x", "bad"), False, False), (InputError("x", "bad"), True, True), (KeyboardInterrupt(), False, False),
-    (RuntimeError("a bug"), False, True),
+    (RuntimeError("a bug"), False, False), (RuntimeError("a bug"), True, True),
 ])  # fmt: skip
-def test_bad_input_before_the_first_record_alone_leaves_nothing(error, has_record, is_left, here):
+def test_a_run_that_is_stopped_before_its_first_record_leaves_nothing(error, has_record, is_left, here):
     with pytest.raises(type(error)), RunFolder(here / "deep" / "x", Config()) as folder:
         (folder.partial / FILE).write_text("a record" if has_record else "")
         raise error

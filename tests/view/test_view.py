@@ -3,7 +3,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -113,10 +112,8 @@ def test_a_run_continues_after_its_viewer_is_closed(tmp_path, monkeypatch):
         for program in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
             os.kill(int(program), signal.SIGKILL)
         view._viewer._process.wait()
-        began = time.monotonic()
         trace = run(preset(scene="rectangle", max_time=1.0), view)
     assert trace.estimates
-    assert time.monotonic() - began < 60.0
 
 
 def test_what_speaks_against_the_map_is_shown(tmp_path):
