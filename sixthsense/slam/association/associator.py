@@ -20,7 +20,7 @@ from sixthsense.core.covariance import SIGNIFICANT, chi_square_quantile, differe
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.innovations import Innovations, Matches, compare_known, match
+from sixthsense.slam.association.innovations import RARE, Innovations, Matches, compare_known, match
 from sixthsense.slam.association.joint_assignment import Indices
 from sixthsense.slam.association.observed import Distances, Mask, Observed, disagreement, ends, fused, joined
 from sixthsense.slam.association.proposed import ProposedLandmarks
@@ -36,8 +36,6 @@ _PARTS = 10
 """of a wall's extent, at whose limits the map is asked"""
 _SLIP_COV = np.diag([0.5, 0.5, 0.25]) ** 2
 """covariance of a slip, m^2 and rad^2"""
-_SLIP_PRICE = 27.6
-"""2 ln 10^6: how rare slips are, and poses from which three landmarks lie alike"""
 _ROUNDING_M = 1e-9
 """by which no extent is moved: one that lies on the edge of a cell stays there"""
 _LEAST = 3
@@ -84,10 +82,11 @@ class Associator:
         squares = np.array([record.square_m2 for record in records])
         known = observed, belief, there, extents.reshape(-1, 2, 2), squares, self._config
         matches = match(*known)
-        if proposed is None and _may_have_slipped(matches):
-            # Wheels slip, and a robot is pushed. A slip pays for its size: the innovations have its covariance.
+        if proposed is None and np.trace(estimate.pose_cov[:2, :2]) < _SLIP_COV[0, 0] and _may_have_slipped(matches):
+            # Wheels slip, and a robot is pushed. A slip pays for its size: the innovations have its covariance. Where
+            # the pose is as uncertain without one, it cannot be told.
             slipped = match(*known, _SLIP_COV)
-            if slipped.matched >= _LEAST and slipped.worth - _SLIP_PRICE > matches.worth:
+            if slipped.matched >= _LEAST and slipped.worth - RARE > matches.worth:
                 matches, slip = slipped, Odometry(estimate.pose.inverse() @ slipped.pose, _SLIP_COV)
         seen = dict[LandmarkId, Observation]()
         for observation, i in zip(observations, matches.landmark.tolist(), strict=True):

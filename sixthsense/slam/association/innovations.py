@@ -21,6 +21,8 @@ from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
 """share of the observations of a wall that show a stretch of it that was not seen before"""
+RARE = 27.6
+"""2 ln 10^6: how rare slips are, and wrong poses from which landmarks lie alike"""
 _NO_SLIP = np.zeros((3, 3))
 
 
@@ -190,8 +192,8 @@ def match(
     gaps, plausible = distances.gap_m[:, near], np.ascontiguousarray(plausible[:, near])
     penalty = _penalties(innovations, plausible, cfg.match_gate, gaps, distances.length_m, 2.0 * sigmas)
     found = best_matches(innovations.pairs, plausible, penalty, innovations.walls, cfg.match_gate)
-    if cfg.proposed_by == "estimate":
-        found = _without_lone_one(observed, innovations, found, cfg)
+    if cfg.proposed_by == "estimate" and not slip_cov.any():  # a slip has its price
+        found = _without_unlikely(observed, innovations, found, cfg)
     is_matched = found >= 0
     nearest = squared_given(innovations.pairs, plausible, found).min(axis=1, initial=math.inf)
     is_far = ~is_matched & (nearest > cfg.new_gate)
@@ -204,15 +206,18 @@ def match(
     return Matches(landmark, is_new, ids, innovations, here, worth)
 
 
-def _without_lone_one(observed: Observed, innovations: Innovations, found: Indices, cfg: AssociationConfig) -> Indices:
-    """(m,) the matches without those of walls whose gate is wider than walls are apart, if all these are of one wall.
+def _without_unlikely(observed: Observed, innovations: Innovations, found: Indices, cfg: AssociationConfig) -> Indices:
+    """(m,) the matches without those of walls whose gate is wider than walls are apart, if too few of them agree.
 
-    A gate as wide as that holds other walls, too. One such wall closes no loop; two that agree do.
+    A gate as wide as that holds other walls, too. Two walls at right angles agree wherever the robot is: what matches
+    close a loop with is what they leave beyond what the pose's uncertainty adds to their covariance together.
     """
     walls = np.flatnonzero((found >= 0) & observed.walls)
     variances = offset_variance(innovations.own[found[walls]], observed.extents[walls].mean(axis=1))
     wide = walls[cfg.match_gate * variances > cfg.new_separation_m**2]
-    if len(set(found[wide].tolist())) == 1:
+    noise, places = innovations.pairs.noise[wide, found[wide]], _places(found[wide])
+    spent = np.linalg.slogdet(_joint(innovations.pairs.predicted, places, noise))[1] - np.linalg.slogdet(noise)[1].sum()
+    if cfg.match_gate * len(set(found[wide].tolist())) - spent < RARE:
         found[wide] = -1
     return found
 

@@ -275,7 +275,8 @@ class ScanGraph(PlacedScans):
         The ways follow motions from keyframe to keyframe and links to old ones. An error of heading moves the position
         by its distance from `key`, so that variances add up along a way (Dijkstra).
         """
-        covs, steps = self.links["cov"][self.links["is_old"]], np.arange(1, self.count)
+        # Where to look for a place is asked of what the returns state: links may be to a wrong one that looks alike.
+        covs, steps = self.links["cov"][self.links["is_old"]] / min(1.0, self.factor), np.arange(1, self.count)
         ends = np.concatenate([np.column_stack([steps - 1, steps]), self._old])
         xx, yy, xy = covs[:, 0, 0], covs[:, 1, 1], covs[:, 0, 1]
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)

@@ -48,11 +48,14 @@ def places(record, wall):
 def test_extents_are_recorded_at_the_pose_that_the_matches_imply(name):
     """The prediction is off by 0.35 and 0.30 m, inside of its covariance."""
     estimator, associator = make_estimator(name, START, np.zeros((3, 3))), Associator(AssociationConfig())
-    keyframe(estimator, associator, START, OLD)
+    known = (*OLD, (0.0, -7.0, -3.0, 3.0), (0.5 * math.pi, -6.0, -4.0, 4.0))
+    keyframe(estimator, associator, START, known)
     estimator.predict(Odometry(Pose(), np.diag([0.25, 0.25, 0.01]) ** 2))
     true = Pose(START.x + 0.35, START.y - 0.30, START.theta)
-    assert len(keyframe(estimator, associator, true, (*OLD, NEW)).observations) == 3
-    for i, wall in enumerate((*OLD, NEW)):
+    # Two walls at right angles lie so wherever the robot is.
+    assert not associator.associate([seen(true, *wall) for wall in OLD], estimator).observations
+    assert len(keyframe(estimator, associator, true, (*known, NEW)).observations) == 5
+    for i, wall in enumerate((*known, NEW)):
         (first, last), off = places(associator.records[i], wall)
         assert (first, last) == pytest.approx(wall[2:], abs=0.01) and off < 0.01
 
