@@ -26,7 +26,7 @@ RELATION_SIGMAS = np.diag([0.017, 0.017, 0.008]) ** 2
 """of the relations themselves, m and rad: of largest likelihood on Intel and Freiburg 079"""
 SHARES = (0.5, 0.9, 0.95)
 NEAR_S = 5.0
-"""relations of scans no farther apart are short enough that wheels know the motion, too"""
+"""between the scans of the relations whose stated sigma is shown"""
 
 
 def opened(name: str, **fields: bool) -> tuple[ReplayInput, Log, Relations]:
@@ -52,12 +52,10 @@ def damage(setting: Setting, seed: int) -> Figures:
 def stated_covariances(setting: Setting, seed: int) -> Figures:
     """Relations of a log against the covariances that the smoother states between keyframes.
 
-    The motion between a scan and its keyframe is taken as exact. Errors of near relations are told apart from those of
-    scan matching and of wheels by the three-cornered hat (Gray and Allan 1974): if the three are independent, the
-    variances of their differences give each one's own. A variance below zero, NaN here, says that they are not.
+    The motion between a scan and its keyframe is taken as exact.
     """
     found, log, known = opened(setting[0])
-    stamps, keys, wheels, key = [], [], [], 0
+    stamps, keys, key = [], [], 0
     with Slam(found.config, log.start, draws_map=False) as slam:
         for tick in log.ticks:
             step = slam.take(tick)
@@ -65,36 +63,25 @@ def stated_covariances(setting: Setting, seed: int) -> Figures:
             if tick.scan is not None:
                 stamps.append(tick.log_stamp_s)
                 keys.append(key)
-                wheels.append(tick.odometry.array())
         result = slam.finish()
         rows = matched(stamps, known.stamps)
         stated = slam.relative_covariances(np.array(keys)[rows])
     assert result.since_key is not None
     poses = compose(result.trajectory[keys], result.since_key)
-    errors, of_wheels = (off(known.poses, ends[rows]) for ends in (poses, np.array(wheels)))
+    errors = off(known.poses, poses[rows])
     covs = stated + RELATION_SIGMAS
     squared = np.einsum("ri,rij,rj->r", errors, np.linalg.inv(covs), errors)
     near = np.abs(np.diff(np.array(stamps)[rows]))[:, 0] <= NEAR_S
-    own = hat(errors[near], of_wheels[near])
     sigma = np.sqrt(np.median(np.diagonal(stated[near], axis1=1, axis2=2), axis=0))
-    sizes = {name: np.hypot(*one[:2]) / np.sqrt(2.0) for name, one in zip(("ours", "relations", "wheels"), own)}  # noqa: B905
     return {
         "relations": len(errors), "squared": squared.mean() / 3.0, "stated_m": np.hypot(*sigma[:2]) / np.sqrt(2.0),
         **{f"within_{100 * share:.0f}": (squared <= chi_square_quantile(share, 3)).mean() for share in SHARES},
-        **{f"{name}_m": None if np.isnan(value) else value for name, value in sizes.items()},
     }  # fmt: skip
 
 
 def off(known: Array, ends: Array) -> Array:
     """(R, 3) errors of the motions between poses (R, 2, 3), in the frames of the second ones."""
     return between(known, between(ends[:, 0], ends[:, 1]))
-
-
-def hat(ours: Array, wheels: Array) -> Array:
-    """(3, 3) robust sigmas of x, y and heading: of ours, of the relations and of wheels, by their errors (R, 3)."""
-    a, b, c = ((np.median(np.abs(one), axis=0) / 0.6745) ** 2 for one in (ours, wheels, ours - wheels))
-    own = 0.5 * np.array([a + c - b, a + b - c, b + c - a])
-    return np.sqrt(np.where(own > 0.0, own, np.nan))
 
 
 def lost(setting: Setting, seed: int) -> Figures:

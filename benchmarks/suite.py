@@ -301,8 +301,9 @@ def cell(column: Column, values: Mapping[str, Sequence[float | None]]) -> str:
     if math.isnan(value):
         return ""
     shown = f"{column.scale * value:{column.form}}"
-    if error is not None:
-        shown += f" ± {column.scale * error:{column.form}}"
+    spread = "" if error is None else f"{column.scale * error:{column.form}}"
+    if spread.strip("0."):
+        shown += f" ± {spread}"
     return shown if is_met(column.asked, value) else f"**{shown}**"
 
 
