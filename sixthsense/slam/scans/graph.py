@@ -38,7 +38,7 @@ _SQUARES = chi_square_quantile(np.arange(0.0005, 1.0, 0.001), 3)  # of right lin
 _WEIGHTED = float(np.mean(_SQUARES / (1.0 + _SQUARES / LOSS**2)) / np.mean(_SQUARES))  # left of them by the loss
 _LEAST_FACTOR = 0.5  # a beam meets a wall at any angle, and its noise across it has the squared cosine's mean, at least
 _FACTOR_MOVES = 1.5  # ratio of the factor to the one before, beyond which all links are given again
-_FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
+_FACTOR_LINKS = 2000  # links, evenly among all, that the variance factor is estimated from
 
 # `pose` is T_world_laser, `step` the variances of position and heading of the motion from the keyframe before, m^2 and
 # rad^2, and `is_out` whether it has left the estimator's graph.
@@ -227,17 +227,17 @@ class ScanGraph(PlacedScans):
         return PoseLinks(ends, np.array(motions).reshape(-1, 3), np.array(covs).reshape(-1, 3, 3))
 
     def _fitted_factor(self) -> float:
-        """The a posteriori variance of unit weight of the last links, as of a least-squares adjustment.
+        """The a posteriori variance of unit weight of the links, as of a least-squares adjustment.
 
         It is the sum of the squares of their residuals, whitened by the covariance that their returns alone give, over
         the redundancy: the coordinates of the links less those of the poses that they bind. The factor is 1 where the
         robot was carried: the covariance of a motion that nothing has measured is as stated.
         """
-        links = self.links[-_FACTOR_LINKS:]
-        if self.first or not len(links):
+        if self.first or not len(self.links):
             return 1.0
+        links = self.links[:: 1 + len(self.links) // _FACTOR_LINKS]
         squares = self.squares(links) / links["weight"]
-        redundancy = 3 * (len(links) - len(np.unique(links["ends"][:, 1])))
+        redundancy = 3.0 * len(links) * (1.0 - len(np.unique(self.links["ends"][:, 1])) / len(self.links))
         factor = self.factor
         for _ in range(5):
             # Weighted by the loss: a few wrong links are no evidence of the others. Of right ones so much is left.
