@@ -69,9 +69,8 @@ class Known(NamedTuple):
         inside = cells_within(region, cell_m, -0.5 * cell_m).within(first, near.shape)
         is_inside[areas[inside].ravel()] = True
         is_inside[0] = False
-        free = ~(unknown | obstacles)
         is_inside &= np.bincount(areas.ravel()) * cell_m**2 >= LEAST_AREA_M2
-        return cls(free, is_inside[areas])
+        return cls(~(unknown | obstacles), is_inside[areas])
 
 
 def frontier_pieces(free: Bools, unseen: Bools, first: Cell, cell_m: float, robot: tuple[Cell, float]) -> list[Piece]:

@@ -179,6 +179,7 @@ class ScanFrontEnd:
         # One that fitted nothing may have been seen from elsewhere than the wheels say: the next ones look past it.
         recent = ([key for key in latest if key not in self._lost] or list(latest))[1 - TARGETS :]
         targets = np.array([*recent, *graph.linked_old(recent[-1], recent[-1])[:1]])
+        # Links that fit better than they state are no evidence that the next scan does.
         views = Views(self._store.returns, row, targets, graph.poses[targets], max(1.0, graph.factor))
         tracked = track(views, expectation.prior, expectation.starts, graph.usual, source.is_guess)
         if tracked.is_lost:

@@ -179,14 +179,14 @@ class ScanGraph(PlacedScans):
 
     def _weigh(self) -> None:
         """Give all links again if the variance factor has moved: those of the beginning would count more or less."""
-        factor, links = self._fitted_factor(), self.links.copy()
+        factor = self._fitted_factor()
         ratio = factor / self.factor
         if max(ratio, 1.0 / ratio) > _FACTOR_MOVES:
-            self.factor, old = factor, links["id"].tolist()
+            self.factor, links = factor, self.links.copy()
             links["cov"] *= ratio
             links["weight"] /= ratio
-            self._give(links)
-            self.estimator.unlink(old)
+            self._give(links)  # before the old ones are taken back: the graph stays bound
+            self.estimator.unlink(self.links["id"].tolist())
             self.links = self._rows = links
             self.refresh()
 
