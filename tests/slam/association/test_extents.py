@@ -17,6 +17,7 @@ from sixthsense.slam.estimators.base import Link
 
 START = Pose(0.3, 0.2, 0.1)
 OLD = (math.pi, -6.0, -3.0, 3.0), (-math.pi / 2.0, -4.0, -2.0, 5.0)
+KNOWN = (*OLD, (0.0, -7.0, -3.0, 3.0), (0.5 * math.pi, -6.0, -4.0, 4.0))
 NEW = (0.2, -5.0, -2.0, 1.0)
 SIGMA = 0.002
 
@@ -48,16 +49,25 @@ def places(record, wall):
 def test_extents_are_recorded_at_the_pose_that_the_matches_imply(name):
     """The prediction is off by 0.35 and 0.30 m, inside of its covariance."""
     estimator, associator = make_estimator(name, START, np.zeros((3, 3))), Associator(AssociationConfig())
-    known = (*OLD, (0.0, -7.0, -3.0, 3.0), (0.5 * math.pi, -6.0, -4.0, 4.0))
-    keyframe(estimator, associator, START, known)
+    keyframe(estimator, associator, START, KNOWN)
     estimator.predict(Odometry(Pose(), np.diag([0.25, 0.25, 0.01]) ** 2))
     true = Pose(START.x + 0.35, START.y - 0.30, START.theta)
     # Two walls at right angles lie so wherever the robot is.
     assert not associator.associate([seen(true, *wall) for wall in OLD], estimator).observations
-    assert len(keyframe(estimator, associator, true, (*known, NEW)).observations) == 5
-    for i, wall in enumerate((*known, NEW)):
+    assert len(keyframe(estimator, associator, true, (*KNOWN, NEW)).observations) == 5
+    for i, wall in enumerate((*KNOWN, NEW)):
         (first, last), off = places(associator.records[i], wall)
         assert (first, last) == pytest.approx(wall[2:], abs=0.01) and off < 0.01
+
+
+@pytest.mark.parametrize(("sigma_m", "is_slip"), [(0.02, True), (0.5, False)])
+def test_no_slip_is_told_from_three_walls_where_the_pose_is_as_uncertain_without_one(sigma_m, is_slip):
+    estimator, associator = make_estimator("ekf", START, np.zeros((3, 3))), Associator(AssociationConfig())
+    keyframe(estimator, associator, START, KNOWN)
+    estimator.predict(Odometry(Pose(), np.diag([sigma_m, sigma_m, 0.01]) ** 2))
+    true = Pose(START.x + 0.35, START.y - 0.30, START.theta)
+    found = associator.associate([seen(true, *wall) for wall in KNOWN[:3]], estimator)
+    assert (found.slip is not None) == is_slip and len(found.observations) == (3 if is_slip else 0)
 
 
 def test_extents_move_with_their_walls_when_a_loop_closes():

@@ -127,6 +127,7 @@ def test_the_information_of_a_scans_links_is_bounded_and_the_same_in_whatever_or
     for row in graph.links:
         link = held[row["id"]]
         assert link.relative.cov == pytest.approx(row["cov"], rel=1e-9)
+        assert row["weight"] * row["cov"] == pytest.approx(np.linalg.inv(pair), rel=1e-9)
         assert link.loss_scale == pytest.approx(4.0 / graph.factor**0.5)
 
 
@@ -161,9 +162,13 @@ def test_uncertainties_are_the_least_over_all_ways_along_the_graph():
     graph._keyframes["step"][:n] = rng.uniform([1e-3, 1e-4], [0.1, 0.02], (n, 2))
     ends = [(0, 4), (1, 6), (2, 5), (0, 6)]
     graph.give(alignments(ends, np.diag([0.5, 0.7, 0.9]) + 6.0 * np.eye(3)), np.ones(4, dtype=np.bool_), NONE)
+    graph.factor = 0.6  # their returns state more
     links, poses = graph.links, graph.poses
     arcs = {(k, k + 1): graph._keyframes["step"][k + 1] for k in range(n - 1)}
-    arcs |= {tuple(row["ends"]): (np.linalg.eigvalsh(row["cov"][:2, :2])[1], row["cov"][2, 2]) for row in links}
+    covs = [row["cov"] / 0.6 for row in links]
+    arcs |= {
+        tuple(row["ends"]): (np.linalg.eigvalsh(c[:2, :2])[1], c[2, 2]) for row, c in zip(links, covs, strict=True)
+    }
 
     def cost(way, k):
         total = 0.0
