@@ -19,7 +19,7 @@ from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import Links, cheapest_path, ways_from
-from sixthsense.navigation.visibility import mark_visible, nearest_view
+from sixthsense.navigation.visibility import nearest_view, visible_cells
 from sixthsense.simulation.mission import mission_of
 from sixthsense.simulation.scene import Scene, load_scene
 
@@ -85,7 +85,8 @@ class _View:
         return float(np.count_nonzero(self.seen) / self._cells)
 
     def look(self, cell: Cell) -> None:
-        mark_visible(self.seen, self._solid, self._area, *cell, self._reach)
+        shown = visible_cells(self._solid, self._area & ~self.seen, *cell, self._reach)
+        self.seen[tuple(shown.T)] = True
 
     def nearest(self, ways: NDArray[np.float32]) -> tuple[Cell | None, Cell]:
         """The cell to drive to, and the unseen cell beside seen ones that is visible from there."""

@@ -154,11 +154,6 @@ class Driver:
         self._turn_rad, self._is_idle = 0.0, True
 
     @property
-    def goal(self) -> Array:
-        """(2,) the place to drive to, world frame."""
-        return np.array(self.drive.goal)
-
-    @property
     def following(self) -> bool:
         """Whether there is a path that is being followed."""
         return len(self.drive.path) > 0

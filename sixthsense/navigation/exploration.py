@@ -27,13 +27,13 @@ from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.clearance import Clearance
 from sixthsense.navigation.driver import PATIENT_TURNS
 from sixthsense.navigation.explorer import ExplorationView, Explorer, Target
-from sixthsense.navigation.frontier import LEAST_AREA_M2, Region
+from sixthsense.navigation.frontier import Region
 from sixthsense.navigation.gridsearch import Cell
 from sixthsense.navigation.navigator import Event, Goal, Outcome
 from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import LOST_M, PoseHistory
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
-from sixthsense.navigation.view_map import ViewMap
+from sixthsense.navigation.view_map import LEAST_AREA_M2, ViewMap
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -213,8 +213,7 @@ class Exploration:
         if has_looked:
             (row, col), reach = clearance.cell(pose.position), self._sensor.gapless_reach
             unseen = ~(clearance.seen | clearance.obstacles)
-            visible = np.argwhere(visible_cells(clearance.obstacles, unseen, row, col, reach))
-            cells.append(visible + clearance.first)
+            cells.append(visible_cells(clearance.obstacles, unseen, row, col, reach) + clearance.first)
         self._failures.update(map(tuple, np.unique(np.concatenate(cells), axis=0).tolist()))
 
     def _is_given_up(self, target: Target) -> bool:

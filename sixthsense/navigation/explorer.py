@@ -57,17 +57,12 @@ class ExplorationView:
         self.pieces: list[Piece] = map_.pieces(map_.wanted)
         """of the border between free and unseen cells"""
 
-    @property
-    def frontiers(self) -> list[Array]:
-        """(N, 2) points of each piece of the border between free and unseen cells, world frame, m."""
-        return [self.points(piece.cells) for piece in self.pieces]
-
     def targets(self) -> list[Target]:
-        """A view of each piece of the border that is in sight of a reachable cell, the nearest one to it."""
+        """The nearest view of each piece of the border from a reachable cell, if it is worth a look."""
         found = []
         for piece in self.pieces:
             viewpoint = self.map.view_of(piece, self.map.places, self._reach)
-            if viewpoint is not None:
+            if viewpoint is not None and self.map.shows_enough(viewpoint, piece, self.unseen):
                 found.append(self._target(piece.unseen, viewpoint))
         return found
 
@@ -79,7 +74,7 @@ class ExplorationView:
         cell = self.map.cell(np.asarray(point, dtype=np.float64))
         if not self.reachable[cell]:
             return None
-        cells = np.argwhere(visible_cells(self.map.obstacles, self.unseen, *cell, self._reach))
+        cells = visible_cells(self.map.obstacles, self.unseen, *cell, self._reach)
         return self._target(cells, cell) if len(cells) else None
 
     def position(self, target: Target) -> Array:

@@ -21,8 +21,6 @@ Region = tuple[float, float, float, float]
 """x0, y0, x1, y1, world frame, metres."""
 PIECE_M = 1.0
 """longer frontiers are split"""
-LEAST_AREA_M2 = 0.1
-"""smaller unseen areas are neither looked at nor counted as left: for each the robot would cross the building"""
 _AROUND = np.ones((3, 3), dtype=np.bool_)
 _BESIDE = np.argwhere(ndimage.generate_binary_structure(2, 1)) - 1
 
@@ -69,7 +67,6 @@ class Known(NamedTuple):
         inside = cells_within(region, cell_m, -0.5 * cell_m).within(first, near.shape)
         is_inside[areas[inside].ravel()] = True
         is_inside[0] = False
-        is_inside &= np.bincount(areas.ravel()) * cell_m**2 >= LEAST_AREA_M2
         return cls(~(unknown | obstacles), is_inside[areas])
 
 

@@ -31,7 +31,6 @@ from sixthsense.slam.mapping.grid import Grid
 
 _PROBABILITY = 0.999
 """with which the wish covers the cross-track error of the position: once in a thousand the guard has to slow down"""
-_OFF_MIDDLE = 0.4  # cells; a path that passes a narrow gap so far from its middle is planned again
 
 
 class DrivingMap:
@@ -60,8 +59,8 @@ class DrivingMap:
         return self._space[1]
 
     def is_clear(self, path: Array) -> bool:
-        """Whether a path (N, 2) leads through no place that is blocked by now, and through the middle of gaps."""
-        return self._avoids(path, self.clearance.blocked, _OFF_MIDDLE)
+        """Whether a path (N, 2) is not blocked by now, and passes narrow gaps within half a cell of their middle."""
+        return self._avoids(path, self.clearance.blocked, 0.5)
 
     def keeps_wish(self, path: Array) -> bool:
         """Whether a path (N, 2) keeps the clearance that is wished for."""
@@ -104,8 +103,10 @@ class PathPlanner:
         free_goal = space.nearest_free(goal, GOAL_SLACK_M - config.follow.distance_slack_m)
         goal = goal if free_goal is None else free_goal
         # A search without a path visits all cells that are reached. One is enough until the cells are joined.
-        if not (self._has_path or _are_joined(space, start, goal)):
-            return None
+        if not self._has_path:
+            areas, _ = ndimage.label(~space.blocked)
+            if areas[space.cell_of(start)] != areas[space.cell_of(goal)]:
+                return None
         plan = self._planned(space, start, goal)
         self._has_path = plan.found
         if not plan.found:
@@ -124,9 +125,3 @@ class PathPlanner:
             plan = AStar().plan(space, start, goal)
             self.plans_by_astar += plan.found
         return plan
-
-
-def _are_joined(space: FreeSpace, start: Array, goal: Array) -> bool:
-    """Whether cells that are not blocked lead from one place (2,) to another across their edges."""
-    areas, _ = ndimage.label(~space.blocked)
-    return bool(areas[space.cell_of(start)] == areas[space.cell_of(goal)])

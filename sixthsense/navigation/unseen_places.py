@@ -10,10 +10,10 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.clearance import OPPOSITE
-from sixthsense.navigation.frontier import LEAST_AREA_M2, middle_cell
+from sixthsense.navigation.frontier import middle_cell
 from sixthsense.navigation.gridsearch import Cell, Links, ways_from
 from sixthsense.navigation.view_map import ViewMap
-from sixthsense.navigation.visibility import mark_visible
+from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.grid import Grid
 
@@ -60,8 +60,10 @@ def unseen_places(map_: ViewMap, grid: Grid, radius_m: float, reach: float) -> l
                 continue
             gap_m = gaps.width_m(viewpoint)
             kind = "unreachable" if gap_m is None or gap_m < 2.0 * radius_m else "cut off by inflation only", gap_m
+        if not map_.shows_enough(viewpoint, piece, hidden):
+            continue
         visible = found.setdefault(kind, np.zeros_like(hidden))
-        mark_visible(visible, map_.obstacles, hidden, *viewpoint, reach)
+        visible[tuple(visible_cells(map_.obstacles, hidden, *viewpoint, reach).T)] = True
     places = []
     for (reason, gap_m), visible in found.items():
         areas, _ = ndimage.label(visible & hidden)
@@ -69,7 +71,7 @@ def unseen_places(map_: ViewMap, grid: Grid, radius_m: float, reach: float) -> l
         for k, box in enumerate(ndimage.find_objects(areas), 1):
             cells = np.argwhere(areas[box] == k) + [span.start for span in box]
             area_m2 = len(cells) * map_.cell_m**2
-            if area_m2 >= LEAST_AREA_M2:
+            if area_m2 >= map_.least_m2:
                 x, y = map_.points(np.array([middle_cell(cells)]))[0].tolist()
                 places.append(UnseenPlace(x, y, area_m2, reason, gap_m))
     return sorted(places, key=lambda place: -place.area_m2)

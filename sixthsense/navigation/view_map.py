@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.navigation.frontier import Known, Piece, Region, cells_within, frontier_pieces
+from sixthsense.navigation.frontier import PIECE_M, Known, Piece, Region, cells_within, frontier_pieces
 from sixthsense.navigation.gridsearch import Cell, Cells, Links, ways_from
 from sixthsense.navigation.path_planner import DrivingMap
-from sixthsense.navigation.visibility import nearest_view
+from sixthsense.navigation.visibility import nearest_view, visible_cells
 from sixthsense.slam.mapping.freespace import Bools, Floats
 
 TILE_M = 0.2
 """side of the tiles by which ways are measured, unless the robot is narrower: no way leads through a wall"""
+LEAST_AREA_M2, LEAST_SHARE = 0.5, 0.003
+"""a view is worth its way if it shows so much of what is unseen, or such a share of the seen part of the region"""
 
 
 class ViewMap:
@@ -45,6 +47,9 @@ class ViewMap:
         """row and col of the masks' corner, counted from the world's origin"""
         self.metres = clearance.metres[parts]
         self.seen, self.obstacles = space.seen[parts], clearance.obstacles[parts]
+        seen = np.count_nonzero(self.seen[cells_within(region, self.cell_m, 0.0).within(self.first, self.seen.shape)])
+        self.least_m2 = min(LEAST_AREA_M2, LEAST_SHARE * seen * self.cell_m**2)
+        """unseen area that a view has to show to be worth its way"""
         self.free: Bools = self.seen & ~self.obstacles
         """(H, W) seen, and no obstacle"""
         self.known = Known.of(self.seen, self.obstacles, self.first, self.cell_m, region, outside_m)
@@ -110,6 +115,15 @@ class ViewMap:
         """The nearest of the `places` (R, C), which `best_cells` returns, that has a piece in view within a reach."""
         index = int(nearest_view(self.obstacles, places, self.side, *piece.centre, reach))
         return divmod(index, self.seen.shape[1]) if index >= 0 else None
+
+    def shows_enough(self, viewpoint: Cell, piece: Piece, unseen: Bools) -> bool:
+        """Whether much of what is `unseen` (H, W) is in view, up to a piece's side behind the frontier.
+
+        Most frontiers that show little are holes that beams left in walls.
+        """
+        depth = math.dist(viewpoint, piece.centre) + PIECE_M / self.cell_m
+        shown = visible_cells(self.obstacles, unseen, *viewpoint, depth)
+        return len(shown) * self.cell_m**2 >= self.least_m2
 
 
 def _parts(known: Bools, here: Cell, wanted: tuple[slice, slice], side: int, rim: int) -> tuple[slice, slice]:

@@ -72,19 +72,15 @@ def nearest_view(obstacles: Bools, places: NDArray[np.int64], side: int, row: in
     return found
 
 
-def visible_cells(obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> Bools:
-    """(H, W) the cells of `mask` that are visible from a cell within `reach`."""
-    visible = np.zeros(mask.shape, dtype=np.bool_)
-    mark_visible(visible, obstacles, mask, row, col, reach)
-    return visible
-
-
 @numba.njit(cache=True, error_model="numpy")
-def mark_visible(visible: Bools, obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> None:
-    """Add to `visible` (H, W) the cells of `mask` that are visible from a cell within `reach`."""
+def visible_cells(obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> NDArray[np.int64]:
+    """(N, 2) the cells of `mask` (H, W) that are visible from a cell within `reach`, row by row."""
     height, width = mask.shape
-    span = int(reach)
+    span, count = int(reach), 0
+    found = np.empty(((2 * span + 1) ** 2, 2), dtype=np.int64)
     for r in range(max(row - span, 0), min(row + span + 1, height)):
         for c in range(max(col - span, 0), min(col + span + 1, width)):
-            if mask[r, c] and not visible[r, c] and math.hypot(r - row, c - col) <= reach:
-                visible[r, c] = line_of_sight(obstacles, row, col, r, c)
+            if mask[r, c] and math.hypot(r - row, c - col) <= reach and line_of_sight(obstacles, row, col, r, c):
+                found[count, 0], found[count, 1] = r, c
+                count += 1
+    return found[:count]

@@ -162,12 +162,23 @@ def test_openings_that_are_narrower_than_the_robot_are_no_frontier(opening: int,
         assert (np.abs(piece.cells - (35, 60)).max(axis=0) <= (6, 1)).all()
 
 
-@pytest.mark.parametrize(("cols", "is_wanted"), [(7, False), (8, True)])
-def test_areas_too_small_to_cross_the_building_for_are_not_looked_at(cols: int, is_wanted: bool) -> None:
-    seen = np.ones((60, 90), dtype=bool)
-    seen[20:25, 30 : 30 + cols] = False  # 5 by 7 cells of 5 cm are less than 0.1 m^2
-    known = Known.of(seen, np.zeros_like(seen), (0, 0), 0.05, (0.0, 0.0, 4.5, 3.0), 0.5)
-    assert np.array_equal(known.unseen, ~seen if is_wanted else np.zeros_like(seen))
+@pytest.mark.parametrize(
+    ("side", "deep", "is_shown"), [(160, 5, False), (160, 6, True), (420, 9, False), (420, 11, True)]
+)
+def test_a_look_at_less_than_half_a_square_metre_or_three_thousandths_of_the_map_is_not_worth_it(
+    side: int, deep: int, is_shown: bool
+) -> None:
+    """A niche of a metre in a wall is unseen; so is a place behind it that the wall hides."""
+    seen, obstacles = np.ones((2, side, side + 70), dtype=bool)
+    obstacles[:] = False
+    obstacles[30:70, side : side + 40] = True
+    seen[40:60, side : side + deep] = obstacles[40:60, side : side + deep] = False
+    seen[40:60, side + 15 : side + 19] = obstacles[40:60, side + 15 : side + 19] = False
+    view, _ = drawn(obstacles, seen, Pose(1.0, 2.25, 0.0))
+    (piece,) = [found for found in view.pieces(view.wanted) if found.centre[1] < side + 15]
+    viewpoint = 49, side - 15
+    assert view.shows_enough(viewpoint, piece, view.wanted) == is_shown
+    assert not view.shows_enough(viewpoint, piece, np.zeros_like(view.wanted))
 
 
 def test_figures_draw_the_frontier_that_is_explored_by() -> None:
@@ -181,6 +192,17 @@ def test_figures_draw_the_frontier_that_is_explored_by() -> None:
     here, narrow = Pose(3.3, 0.7, 0.3), {"max_range": 0.4}
     points = frontier_points(Stage(two_rooms(1.0), [here], laser=narrow).grid, 0.05, region, 1.0, here.position, RADIUS)
     assert len(points) > 20 and np.hypot(*(points - here.position).T) == pytest.approx(0.4, abs=0.1)
+
+
+def drawn(obstacles, seen, pose):
+    """The map of views of a robot at a pose, and where it may drive."""
+    clearance = Clearance(0.05, 0.22, 0.5)
+    clearance.box, clearance.seen, clearance.obstacles = Box(0, 0, *seen.shape), seen, obstacles
+    clearance.blocked, clearance.metres = obstacles, np.where(obstacles, np.float32(0.0), np.float32(0.3))
+    space = clearance.free_space(0.5)
+    map_ = SimpleNamespace(clearance=clearance, free_space=lambda pose: space)
+    region = 0.0, 0.0, 0.05 * seen.shape[1], 0.05 * seen.shape[0]
+    return ViewMap(map_, pose, region, 0.5, RADIUS, np.zeros_like(seen)), space
 
 
 def wall_of_a_cell(door):
@@ -198,12 +220,8 @@ def wall_of_a_cell(door):
 )
 def test_a_place_is_reachable_where_the_planner_finds_a_way(blocked) -> None:
     blocked[50:53, 5:8] = False
-    clearance, start = Clearance(0.05, 0.22, 0.5), Pose(0.33, 2.57, 0.0)
-    clearance.box, clearance.seen, clearance.obstacles = Box(0, 0, *blocked.shape), ~blocked, blocked
-    clearance.blocked, clearance.metres = blocked, np.where(blocked, np.float32(0.0), np.float32(0.3))
-    space = clearance.free_space(0.5)
-    map_ = SimpleNamespace(clearance=clearance, free_space=lambda pose: space)
-    view = ViewMap(map_, start, (0.0, 0.0, 3.4, 3.0), 0.5, RADIUS, np.zeros_like(blocked))
+    start = Pose(0.33, 2.57, 0.0)
+    view, space = drawn(blocked, ~blocked, start)
     for row, col in np.argwhere(~blocked)[::23].tolist():
         plan = AStar().plan(space, start.position, space.centre(row, col))
         assert view.reachable[row, col] == plan.found
@@ -235,7 +253,8 @@ def test_the_nearest_view_is_the_nearest_place_in_sight(seed: int) -> None:
 def test_lines_of_sight_are_the_same_both_ways_and_end_at_obstacles() -> None:
     rng = np.random.default_rng(5)
     obstacles = rng.random((23, 31)) < 0.1
-    visible = visible_cells(obstacles, np.ones_like(obstacles), 8, 11, 9.5)
+    visible = np.zeros_like(obstacles)
+    visible[tuple(visible_cells(obstacles, np.ones_like(obstacles), 8, 11, 9.5).T)] = True
     for r, c in np.ndindex(*obstacles.shape):
         assert line_of_sight(obstacles, 8, 11, r, c) == line_of_sight(obstacles, r, c, 8, 11)
         samples = np.linspace(0.0, 1.0, 400)
