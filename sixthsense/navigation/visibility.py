@@ -75,11 +75,12 @@ def nearest_view(obstacles: Bools, places: NDArray[np.int64], side: int, row: in
 @numba.njit(cache=True, error_model="numpy")
 def visible_cells(obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> NDArray[np.int64]:
     """(N, 2) the cells of `mask` (H, W) that are visible from a cell within `reach`, row by row."""
-    height, width = mask.shape
     span, count = int(reach), 0
-    found = np.empty(((2 * span + 1) ** 2, 2), dtype=np.int64)
-    for r in range(max(row - span, 0), min(row + span + 1, height)):
-        for c in range(max(col - span, 0), min(col + span + 1, width)):
+    rows = range(max(row - span, 0), min(row + span + 1, mask.shape[0]))
+    cols = range(max(col - span, 0), min(col + span + 1, mask.shape[1]))
+    found = np.empty((len(rows) * len(cols), 2), dtype=np.int64)
+    for r in rows:
+        for c in cols:
             if mask[r, c] and math.hypot(r - row, c - col) <= reach and line_of_sight(obstacles, row, col, r, c):
                 found[count, 0], found[count, 1] = r, c
                 count += 1

@@ -13,6 +13,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.clearance import Clearance
 from sixthsense.navigation.exploration import TRIES, Exploration
+from sixthsense.navigation.explorer import ExplorationView
 from sixthsense.navigation.frontier import Known, frontier_pieces, frontier_points
 from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.planners.astar import AStar
@@ -179,6 +180,17 @@ def test_a_look_at_less_than_half_a_square_metre_or_three_thousandths_of_the_map
     viewpoint = 49, side - 15
     assert view.shows_enough(viewpoint, piece, view.wanted) == is_shown
     assert not view.shows_enough(viewpoint, piece, np.zeros_like(view.wanted))
+
+
+def test_targets_are_in_the_order_of_their_ways_and_the_nearest_are_the_same_of_all() -> None:
+    stage = Stage(two_rooms(1.0), [START, Pose(3.4, 2.2, 0.4)])
+    stage.next(START)
+    region, nothing = (0.0, 0.0, 8.0, 3.0), np.zeros_like(stage.map.clearance.seen)
+    view = ExplorationView(ViewMap(stage.map, START, region, 1.0, RADIUS, nothing), START, START.position, 100.0)
+    targets = view.targets()
+    ways_m = view.ways_m([view.position(target) for target in targets])
+    assert len(targets) > 3 and (np.diff(ways_m) >= 0.0).all() and ways_m[0] < ways_m[-1]
+    assert [target.viewpoint for target in view.targets(3)] == [target.viewpoint for target in targets[:3]]
 
 
 def test_figures_draw_the_frontier_that_is_explored_by() -> None:
