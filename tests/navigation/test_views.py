@@ -17,6 +17,7 @@ from sixthsense.navigation.explorer import ExplorationView
 from sixthsense.navigation.frontier import Known, frontier_pieces, frontier_points
 from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.unseen_places import unseen_places
 from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import line_of_sight, nearest_view, visible_cells
 from sixthsense.slam.estimators import Estimate
@@ -180,6 +181,28 @@ def test_a_look_at_less_than_half_a_square_metre_or_three_thousandths_of_the_map
     viewpoint = 49, side - 15
     assert view.shows_enough(viewpoint, piece, view.wanted) == is_shown
     assert not view.shows_enough(viewpoint, piece, np.zeros_like(view.wanted))
+    shown = ExplorationView(view, Pose(1.0, 2.25, 0.0), START.position, 100.0)
+    assert any(np.array_equal(target.cells, piece.unseen) for target in shown.targets()) == is_shown
+
+
+def test_a_niche_that_shows_little_nearby_is_not_left_unseen_though_it_is_deep() -> None:
+    seen, obstacles = np.ones((2, 420, 560), dtype=bool)
+    obstacles[:] = False
+    obstacles[30:70, 420:] = True
+    seen[43:52, 420:510] = obstacles[43:52, 420:510] = False
+    view, _ = drawn(obstacles, seen, Pose(20.0, 2.35, 0.0))
+    assert view.known.unseen[43:52, 420:510].all() and len(view.pieces(view.wanted)) == 1
+    assert unseen_places(view, Grid(CONFIG.grid, RADIUS), RADIUS, 100.0) == []
+    view.least_m2 = 0.4  # the nine by twenty cells are more
+    (place,) = unseen_places(view, Grid(CONFIG.grid, RADIUS), RADIUS, 100.0)
+    assert place.reason == "gave up" and place.area_m2 == pytest.approx(9 * 90 * 0.05**2) and place.x > 21.0
+
+
+@pytest.mark.parametrize(("off_m", "is_clear"), [(-0.04, False), (-0.015, True), (0.01, True), (0.04, False)])
+def test_a_path_leads_through_a_narrow_gap_within_half_a_cell_of_its_middle(off_m: float, is_clear: bool) -> None:
+    stage = Stage(two_rooms(0.46), [START, Pose(3.0, 2.3, 0.0), Pose(3.4, 2.25, 0.0)])
+    stage.next(START)
+    assert stage.map.is_clear(np.array([[3.6, 2.3 + off_m], [4.4, 2.3 + off_m]])) == is_clear
 
 
 def test_targets_are_in_the_order_of_their_ways_and_the_nearest_are_the_same_of_all() -> None:
