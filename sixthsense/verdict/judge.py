@@ -12,8 +12,8 @@ from sixthsense.verdict.verdict import Level, Verdict
 from sixthsense.verdict.views import ALL, FEWEST, SURFACE, THROUGH
 from sixthsense.verdict.witnesses import Witnesses
 
-DOUBTFUL_FROM, BROKEN_FROM = 0.5, 0.9
-"""A map is doubtful if it is more likely wrong than right, and broken if it is at least nine times as likely."""
+DOUBTFUL_FROM, BROKEN_FROM = 0.4, 0.9
+"""Probabilities of being wrong. The first lies below a half: a wrong map called good costs more than a second look."""
 _LEAST_TRAVEL_M = 2.0
 """with a turn of a radian as half a metre: scans of one place do not contradict each other"""
 
@@ -21,8 +21,7 @@ _LEAST_TRAVEL_M = 2.0
 def judge(found: Witnesses) -> Verdict:
     """Whether the map of a run is right, by what the run has left behind.
 
-    A map that is more likely right than wrong is good if enough of its scans were compared with others; else it is not
-    judged.
+    A map below the first limit is good if enough of its scans were compared with others; else it is not judged.
     """
     evidence, model = evidence_of(found), fitted.weights()
     features = fitted.keyframe_features(evidence)
