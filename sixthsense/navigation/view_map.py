@@ -20,7 +20,7 @@ from sixthsense.slam.mapping.freespace import Bools, Floats
 
 TILE_M = 0.2
 """side of the tiles by which ways are measured, unless the robot is narrower: no way leads through a wall"""
-LEAST_AREA_M2, LEAST_SHARE = 0.5, 0.003
+LEAST_AREA_M2, LEAST_SHARE = 0.5, 0.002
 """a view is worth its way if it shows so much of what is unseen, or such a share of the seen part of the region"""
 
 

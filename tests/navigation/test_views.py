@@ -165,9 +165,9 @@ def test_openings_that_are_narrower_than_the_robot_are_no_frontier(opening: int,
 
 
 @pytest.mark.parametrize(
-    ("side", "deep", "is_shown"), [(160, 5, False), (160, 6, True), (420, 9, False), (420, 11, True)]
+    ("side", "deep", "is_shown"), [(160, 3, False), (160, 4, True), (420, 9, False), (420, 11, True)]
 )
-def test_a_look_at_less_than_half_a_square_metre_or_three_thousandths_of_the_map_is_not_worth_it(
+def test_a_look_at_less_than_half_a_square_metre_or_two_thousandths_of_the_map_is_not_worth_it(
     side: int, deep: int, is_shown: bool
 ) -> None:
     """A niche of a metre in a wall is unseen; so is a place behind it that the wall hides."""
