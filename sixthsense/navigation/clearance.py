@@ -9,39 +9,20 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any, Literal, Protocol
 
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.mapping.changes import Box, Changes, Revision, moved
+from sixthsense.slam.mapping.changes import Box, Revision, moved
 from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace
+from sixthsense.slam.mapping.grid import Grid
 
 OPPOSITE = 0.5
 """cosine: the other side of a gap lies at a smaller angle to the way across, that of a corner does not"""
 _SIDE = 2  # cells from the middle of a gap to where the distance has to be less
 _NOWHERE = Box(0, 0, 0, 0)
-
-
-class ObstacleGrid(Protocol):
-    """What a clearance is drawn from."""
-
-    changes: Changes
-
-    @property
-    def box(self) -> Box:
-        """The box of its cells."""
-        ...
-
-    def obstacle_points(self, box: Box) -> Array:
-        """(N, 2) places of the obstacles in a box, world frame, metres."""
-        ...
-
-    def part(self, name: Literal["seen", "obstacles"], box: Box) -> NDArray[Any]:
-        """(H, W) the seen cells, or the obstacles, of a box."""
-        ...
 
 
 class Clearance:
@@ -53,18 +34,25 @@ class Clearance:
 
     def __init__(self, cell_m: float, least_m: float, most_m: float) -> None:
         """Begin without a map. Cells nearer than `least_m` to an obstacle are blocked; distances end at `most_m`."""
-        self.cell_m, self.least_m, self.most_m = cell_m, least_m, max(most_m, least_m + 2.0 * cell_m)
+        self.cell_m, self.most_m = cell_m, max(most_m, least_m + 2.0 * cell_m)
+        self.least_m = least_m
+        """may be changed at any time"""
         self.box = _NOWHERE
         """the box of the cells, counted from the world's origin"""
         self.metres: Floats = np.zeros((0, 0), dtype=np.float32)
         """(H, W) distance to the nearest obstacle, at most `most_m`"""
         self.offsets: Floats = np.zeros((0, 0, 2), dtype=np.float32)
         """(H, W, 2) row and col, in cells, from the centre of a cell to where it is measured; 0 outside narrow gaps"""
-        self.blocked: Bools = np.zeros((0, 0), dtype=np.bool_)
-        """(H, W) cells nearer than `least_m` to an obstacle"""
-        self.seen = self.obstacles = self.blocked
-        """(H, W) seen cells and obstacle cells of the grid"""
+        self.seen: Bools = np.zeros((0, 0), dtype=np.bool_)
+        """(H, W) cells of the grid that were seen"""
+        self.obstacles = self.seen
+        """(H, W) obstacle cells of the grid"""
         self._revision: Revision | None = None
+
+    @property
+    def blocked(self) -> Bools:
+        """(H, W) cells nearer than `least_m` to an obstacle."""
+        return np.asarray(self.metres < np.float32(self.least_m))
 
     @property
     def first(self) -> NDArray[np.int64]:
@@ -76,15 +64,14 @@ class Clearance:
         """World x, y of the lower left corner of the cells, metres."""
         return self.box.left * self.cell_m, self.box.top * self.cell_m
 
-    def update(self, grid: ObstacleGrid) -> None:
+    def update(self, grid: Grid) -> None:
         """Draw the clearance again where the grid has changed."""
         box, reach = grid.box, math.ceil(self.most_m / self.cell_m) + 1
         changed = grid.changes.since(self._revision)
         self._revision = grid.changes.revision
         if box != self.box:
             before, self.box = self.box, box
-            names = ("metres", "offsets", "blocked", "seen", "obstacles")
-            for name, fill in zip(names, (self.most_m, 0.0, False, False, False), strict=True):
+            for name, fill in (("metres", self.most_m), ("offsets", 0.0), ("seen", False), ("obstacles", False)):
                 setattr(self, name, moved(getattr(self, name), before, box, fill))
         part = (box if changed is None else changed.grown(reach)).within((box.top, box.left), self.metres.shape)
         drawn = Box(box.top + part[0].start, box.left + part[1].start, box.top + part[0].stop, box.left + part[1].stop)
@@ -94,7 +81,6 @@ class Clearance:
         limits = self.least_m / self.cell_m, self.most_m / self.cell_m
         cells, self.offsets[part] = _draw(drawn.bottom - drawn.top, drawn.right - drawn.left, points, limits)
         self.metres[part] = cells * np.float32(self.cell_m)
-        self.blocked[part] = self.metres[part] < self.least_m
         self.seen[part], self.obstacles[part] = grid.part("seen", drawn), grid.part("obstacles", drawn)
 
     def cell(self, point_world: ArrayLike) -> tuple[int, int]:
@@ -132,7 +118,7 @@ class Clearance:
 
     def _way_out(self, cell: tuple[int, int], reach_m: float) -> Bools:
         """(H, W) the cells near one that have no less clearance than it, and itself."""
-        out = np.zeros_like(self.blocked)
+        out = np.zeros_like(self.obstacles)
         reach = math.ceil(reach_m / self.cell_m)
         part = tuple(slice(max(k - reach, 0), k + reach + 1) for k in cell)
         out[part] = (self.metres[part] >= self.metres[cell]) & ~self.obstacles[part]

@@ -21,6 +21,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.parts import EXPLORERS
+from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.config.tree import check_returned, part_of
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import beam_bearings
@@ -199,12 +200,21 @@ class Exploration:
         self.outcome = "lost" if self._history.sigma_m > LOST_M else explored
 
     def _map_of_views(self, map_: DrivingMap, pose: Pose, outside_m: float) -> ViewMap:
-        """The map as views are chosen from it, of unseen cells as far as `outside_m` from the region."""
+        """The map as views are chosen from it, of unseen cells as far as `outside_m` from the region.
+
+        The robot has come from home: where no way leads there, it is shut in by errors of the map.
+        """
         clearance = map_.clearance
         given_up: Bools = np.zeros_like(clearance.seen)
         cells = np.array([cell for cell, count in self._failures.items() if count >= TRIES], dtype=np.int64)
         given_up[tuple((cells.reshape(-1, 2) - clearance.first).T)] = True
-        return ViewMap(map_, pose, self._region, outside_m, self._radius_m, given_up)
+        for is_shut_in in (False, True):
+            map_.set_shut_in(is_shut_in)
+            view = ViewMap(map_, pose, self._region, outside_m, self._radius_m, given_up)
+            home = map_.free_space(pose).nearest_free(self._home, GOAL_SLACK_M)
+            if home is None or view.reachable[view.cell(home)]:
+                break
+        return view
 
     def _count_failure(self, clearance: Clearance, pose: Pose, has_looked: bool) -> None:
         """Count a try at all cells of the target, and after a look at all unseen cells that are in view from here."""
@@ -221,7 +231,9 @@ class Exploration:
 
     def _is_worth_going_on(self, clearance: Clearance) -> bool:
         """Whether much of the target is still unknown, and the viewpoint is not blocked by what was seen since."""
-        if self._target is None or self._goal is None or clearance.blocked[clearance.cell(self._goal.position)]:
+        if self._target is None or self._goal is None:
+            return False
+        if clearance.metres[clearance.cell(self._goal.position)] < clearance.least_m:
             return False
         rows, cols = (self._target.cells - clearance.first).T
         unknown = ~(clearance.seen[rows, cols] | clearance.obstacles[rows, cols])

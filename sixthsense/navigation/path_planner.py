@@ -40,7 +40,8 @@ class DrivingMap:
         """Begin without a map, for a disc of `radius_m`; `stays_near_seen`: a radius beyond what was seen at most."""
         self._config, self._own_m = config, radius_m + config.grid.clearance_m
         most_m = self._own_m + config.safety.max_margin_m
-        self.clearance = Clearance(config.grid.cell_m, least_clearance_m(radius_m, config), most_m)
+        self._radius_m, self._least_m = radius_m, least_clearance_m(radius_m, config)
+        self.clearance = Clearance(config.grid.cell_m, self._least_m, most_m)
         self.wish_m = self._own_m
         """clearance below which a metre costs more"""
         self._unseen_m = radius_m if stays_near_seen else math.inf
@@ -51,6 +52,10 @@ class DrivingMap:
         self.clearance.update(grid)
         self.wish_m = self._own_m + _margin_m(estimate.pose_cov, self._config)
         self._space: tuple[Pose, FreeSpace] | None = None
+
+    def set_shut_in(self, is_shut_in: bool) -> None:
+        """Set whether no way home is known: the map errs by centimetres, so gaps as wide as the robot are tried."""
+        self.clearance.least_m, self._space = self._radius_m if is_shut_in else self._least_m, None
 
     def free_space(self, pose: Pose) -> FreeSpace:
         """Where a robot at a pose may drive, and what that costs."""

@@ -62,7 +62,7 @@ def test_the_clearance_of_a_cell_is_the_distance_to_the_nearest_return_from_wher
         centre = (np.array([BOX.left + col, BOX.top + row]) + 0.5) * CELL
         assert np.abs(at - centre).max() < 0.5 * CELL
         assert away >= min(np.hypot(*(grid.points - centre).T).min(), MOST) - 1e-6
-    assert np.array_equal(clearance.blocked, clearance.metres < LEAST)
+    assert np.array_equal(clearance.blocked, clearance.metres < np.float32(LEAST))
     assert clearance.offsets.any() and (clearance.offsets == 0.0).all(axis=2).mean() > 0.9
 
 

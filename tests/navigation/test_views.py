@@ -15,7 +15,7 @@ from sixthsense.navigation.clearance import Clearance
 from sixthsense.navigation.exploration import TRIES, Exploration
 from sixthsense.navigation.explorer import ExplorationView
 from sixthsense.navigation.frontier import Known, frontier_pieces, frontier_points
-from sixthsense.navigation.path_planner import DrivingMap
+from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.unseen_places import unseen_places
 from sixthsense.navigation.view_map import ViewMap
@@ -76,6 +76,20 @@ def test_the_first_goal_is_a_viewpoint_from_which_unseen_cells_are_in_sight_and_
     assert stage.task.state == "viewing" and goal.turn_rad > 0.0
     assert stage.next(START) is goal and stage.next(START, "stopped") is goal
     assert 2.0 < goal.position[0] < 4.5
+
+
+@pytest.mark.parametrize(("door_m", "tried_from"), [(0.46, {1.0, 7.0}), (0.38, {7.0}), (0.34, set())])
+def test_a_robot_without_a_way_home_tries_gaps_that_are_only_as_wide_as_it_is(
+    door_m: float, tried_from: set[float]
+) -> None:
+    """It has come through one. By the returns beside it the door of 0.38 m is 0.40 m wide: 0.44 m are kept else."""
+    seen_from = [Pose(x, y, 0.0) for x in (1.0, 3.2, 4.8, 7.0) for y in (0.6, 2.3)]
+    for x in (1.0, 7.0):
+        stage, robot = Stage(two_rooms(door_m), seen_from), Pose(x, 1.0, 0.0)
+        stage.next(robot)
+        path = PathPlanner(AStar(), stage.config).plan(stage.map, robot, np.array([8.0 - x, 1.0]))
+        assert (path is not None) == (x in tried_from)
+        assert path is None or stage.map.is_clear(path)
 
 
 def test_when_nothing_is_left_to_see_the_robot_drives_home_and_has_explored() -> None:
@@ -233,7 +247,7 @@ def drawn(obstacles, seen, pose):
     """The map of views of a robot at a pose, and where it may drive."""
     clearance = Clearance(0.05, 0.22, 0.5)
     clearance.box, clearance.seen, clearance.obstacles = Box(0, 0, *seen.shape), seen, obstacles
-    clearance.blocked, clearance.metres = obstacles, np.where(obstacles, np.float32(0.0), np.float32(0.3))
+    clearance.metres = np.where(obstacles, np.float32(0.0), np.float32(0.3))
     space = clearance.free_space(0.5)
     map_ = SimpleNamespace(clearance=clearance, free_space=lambda pose: space)
     region = 0.0, 0.0, 0.05 * seen.shape[1], 0.05 * seen.shape[0]
