@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.navigation.guard import BUFFER_M
 from sixthsense.slam.mapping.changes import Box, Revision, moved
 from sixthsense.slam.mapping.freespace import Bools, Floats, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
@@ -33,10 +34,8 @@ class Clearance:
     """
 
     def __init__(self, cell_m: float, least_m: float, most_m: float) -> None:
-        """Begin without a map. Cells nearer than `least_m` to an obstacle are blocked; distances end at `most_m`."""
-        self.cell_m, self.most_m = cell_m, max(most_m, least_m + 2.0 * cell_m)
-        self.least_m = least_m
-        """may be changed at any time"""
+        """Begin without a map. Gaps about as wide as twice `least_m` are measured; distances end at `most_m`."""
+        self.cell_m, self.least_m, self.most_m = cell_m, least_m, max(most_m, least_m + 2.0 * cell_m)
         self.box = _NOWHERE
         """the box of the cells, counted from the world's origin"""
         self.metres: Floats = np.zeros((0, 0), dtype=np.float32)
@@ -48,11 +47,6 @@ class Clearance:
         self.obstacles = self.seen
         """(H, W) obstacle cells of the grid"""
         self._revision: Revision | None = None
-
-    @property
-    def blocked(self) -> Bools:
-        """(H, W) cells nearer than `least_m` to an obstacle."""
-        return np.asarray(self.metres < np.float32(self.least_m))
 
     @property
     def first(self) -> NDArray[np.int64]:
@@ -78,7 +72,7 @@ class Clearance:
         if drawn.bottom == drawn.top or drawn.right == drawn.left:
             return
         points = grid.obstacle_points(drawn.grown(reach))[:, ::-1] / self.cell_m - (drawn.top, drawn.left)
-        limits = self.least_m / self.cell_m, self.most_m / self.cell_m
+        limits = (self.least_m - BUFFER_M) / self.cell_m, self.least_m / self.cell_m, self.most_m / self.cell_m
         cells, self.offsets[part] = _draw(drawn.bottom - drawn.top, drawn.right - drawn.left, points, limits)
         self.metres[part] = cells * np.float32(self.cell_m)
         self.seen[part], self.obstacles[part] = grid.part("seen", drawn), grid.part("obstacles", drawn)
@@ -89,22 +83,20 @@ class Clearance:
         row, col = math.floor(y / self.cell_m) - self.box.top, math.floor(x / self.cell_m) - self.box.left
         return min(max(row, 0), self.metres.shape[0] - 1), min(max(col, 0), self.metres.shape[1] - 1)
 
-    def point(self, row: float, col: float) -> Array:
-        """(2,) the place in a cell at which its clearance is measured, world frame, metres."""
-        down, across = self.offsets[int(row), int(col)].tolist()
-        return np.array([self.box.left + col + 0.5 + across, self.box.top + row + 0.5 + down]) * self.cell_m
-
-    def free_space(self, wish_m: float, robot: ArrayLike | None = None, unseen_m: float = math.inf) -> FreeSpace:
+    def free_space(
+        self, least_m: float, wish_m: float, robot: ArrayLike | None = None, unseen_m: float = math.inf
+    ) -> FreeSpace:
         """Where the robot may drive, and what a metre there costs.
 
-        A metre costs 1, and (wish / clearance)^2 where its clearance is less than `wish_m`, like in Nav2's inflation
-        layer. A `robot` (2,) that stands where it is blocked may go where the clearance is no less than it has, within
-        `wish_m`. Cells that are farther than `unseen_m` from all seen ones are blocked.
+        Cells nearer than `least_m` to an obstacle are blocked. A metre costs 1, and (wish / clearance)^2 where its
+        clearance is less than `wish_m`, like in Nav2's inflation layer. A `robot` (2,) that stands where it is blocked
+        may go where the clearance is no less than it has, within `wish_m`. Cells that are farther than `unseen_m` from
+        all seen ones are blocked.
         """
         cost = np.maximum(self.metres, np.float32(0.5 * self.cell_m))
         np.divide(np.float32(wish_m), cost, out=cost)
         np.square(np.maximum(cost, np.float32(1.0), out=cost), out=cost)
-        blocked = self.blocked
+        blocked: Bools = self.metres < least_m
         if robot is not None and blocked[self.cell(robot)]:
             blocked = blocked & ~self._way_out(self.cell(robot), wish_m)
         if unseen_m < math.inf:
@@ -127,12 +119,12 @@ class Clearance:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _draw(height: int, width: int, points: Array, limits: tuple[float, float]) -> tuple[Floats, Floats]:
+def _draw(height: int, width: int, points: Array, limits: tuple[float, float, float]) -> tuple[Floats, Floats]:
     """(H, W) distances of cells to points (N, 2), row and col from the corner, and (H, W, 2) where they are measured.
 
-    All in cells. `limits` are the distance below which a cell is blocked, and the largest one.
+    All in cells. `limits` are the distances between which cells may be blocked, and the largest one.
     """
-    least, most = limits
+    lowest, least, most = limits
     wide = np.full((height + 2 * _SIDE, width + 2 * _SIDE), np.float32(most * most))  # with a rim
     across_sq = np.empty(2 * math.ceil(most) + 2, dtype=np.float32)
     for k in range(len(points)):
@@ -157,7 +149,7 @@ def _draw(height: int, width: int, points: Array, limits: tuple[float, float]) -
     near = np.empty((len(points), 2))
     for r in range(height):
         for c in range(width):
-            if least - 1.0 <= distance[r, c] < least + 0.5 and _is_ridge(wide, r + _SIDE, c + _SIDE):
+            if lowest - 1.0 <= distance[r, c] < least + 0.5 and _is_ridge(wide, r + _SIDE, c + _SIDE):
                 count = 0
                 for i in range(r, r + 2 * reach + 1):
                     for j in range(c, c + 2 * reach + 1):

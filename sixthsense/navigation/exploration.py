@@ -110,7 +110,7 @@ class Exploration:
         elif self._history.needs_loop_closure and (self._has_left_view or self._history.is_much_less_certain):
             if self._begins_loop_closure(map_, pose):
                 return
-        elif self._is_worth_going_on(map_.clearance):
+        elif self._is_worth_going_on(map_):
             return
         self._choose_view(map_, pose)
 
@@ -126,9 +126,8 @@ class Exploration:
         if self._target is not None:
             if len(self._target.tour):
                 self.tours.append(self._target.tour)
-            row, col = self._target.viewpoint
-            position = np.array([(col + 0.5) * view.cell_m, (row + 0.5) * view.cell_m])
-            self._goal = Goal(position, self._sensor.turn_rad)
+            viewpoint = view.points(np.subtract(self._target.viewpoint, view.first)[None])[0]
+            self._goal = Goal(viewpoint, self._sensor.turn_rad)
             return
         self.left = unseen_places(view, map_.grid, self._radius_m, self._sensor.reach)
         if self.left and self._may_wait(map_):
@@ -179,10 +178,9 @@ class Exploration:
     def _may_wait(self, map_: DrivingMap) -> bool:
         """Count a wait for people to go, anew if more has been seen; whether any are expected and patience is left."""
         seen_m2 = map_.grid.seen_area_m2
-        if seen_m2 > self._seen_m2 + LEAST_AREA_M2:  # beside noise at obstacles' edges
-            self._waits = 0
+        has_seen_more = seen_m2 > self._seen_m2 + LEAST_AREA_M2  # beside noise at obstacles' edges
+        self._waits = 1 if has_seen_more else self._waits + 1
         self._seen_m2 = max(seen_m2, self._seen_m2)
-        self._waits += 1
         return bool(self._config.people) and self._waits <= PATIENT_TURNS
 
     def _go_home(self, map_: DrivingMap, pose: Pose, event: Event) -> None:
@@ -190,8 +188,8 @@ class Exploration:
         if event == "arrived":
             self._finish()
         elif event in ("no way", "stuck"):
-            if self._may_wait(map_):
-                self._goal = Goal(self._home, 0.0)
+            if self._may_wait(map_) or (event == "no way" and map_.least_m > map_.shut_in_m):
+                map_.least_m, self._goal = map_.shut_in_m, Goal(self._home, 0.0)
             else:
                 self.outcome = "goal unreachable" if event == "no way" else "stuck"
 
@@ -208,8 +206,8 @@ class Exploration:
         given_up: Bools = np.zeros_like(clearance.seen)
         cells = np.array([cell for cell, count in self._failures.items() if count >= TRIES], dtype=np.int64)
         given_up[tuple((cells.reshape(-1, 2) - clearance.first).T)] = True
-        for is_shut_in in (False, True):
-            map_.set_shut_in(is_shut_in)
+        for least_m in (map_.usual_m, map_.shut_in_m):
+            map_.least_m = least_m
             view = ViewMap(map_, pose, self._region, outside_m, self._radius_m, given_up)
             home = map_.free_space(pose).nearest_free(self._home, GOAL_SLACK_M)
             if home is None or view.reachable[view.cell(home)]:
@@ -229,13 +227,12 @@ class Exploration:
     def _is_given_up(self, target: Target) -> bool:
         return all(self._failures[cell] >= TRIES for cell in map(tuple, target.cells.tolist()))
 
-    def _is_worth_going_on(self, clearance: Clearance) -> bool:
+    def _is_worth_going_on(self, map_: DrivingMap) -> bool:
         """Whether much of the target is still unknown, and the viewpoint is not blocked by what was seen since."""
-        if self._target is None or self._goal is None:
+        clearance, target, goal = map_.clearance, self._target, self._goal
+        if target is None or goal is None or clearance.metres[clearance.cell(goal.position)] < map_.least_m:
             return False
-        if clearance.metres[clearance.cell(self._goal.position)] < clearance.least_m:
-            return False
-        rows, cols = (self._target.cells - clearance.first).T
+        rows, cols = (target.cells - clearance.first).T
         unknown = ~(clearance.seen[rows, cols] | clearance.obstacles[rows, cols])
         return float(unknown.mean()) > _SEEN_FRACTION
 

@@ -256,7 +256,8 @@ class Guard:
             scan, self._scan = self._scan, None
             while len(self._waiting) > 1:
                 before, at = self._waiting.popleft()
-                self._before.append(Pose(*at) @ before.returns_robot[before.ranges[before.is_return] < self._near_m])
+                near = before.returns_robot[np.linalg.norm(before.returns_robot, axis=1) < self._near_m]
+                self._before.append(Pose(*at) @ near)
             self._obstacles = Obstacles(
                 scan.returns_robot.copy(), self._obstacles.moving, np.concatenate([_NOTHING, *self._before])
             )

@@ -21,7 +21,7 @@ from sixthsense.config.sections import GOAL_SLACK_M
 from sixthsense.config.tree import check_returned
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.clearance import Clearance
-from sixthsense.navigation.guard import latency_s, least_clearance_m, stopping_distance
+from sixthsense.navigation.guard import BUFFER_M, latency_s, least_clearance_m, stopping_distance
 from sixthsense.navigation.planners import Plan, Planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import is_free, shortcut
@@ -40,8 +40,11 @@ class DrivingMap:
         """Begin without a map, for a disc of `radius_m`; `stays_near_seen`: a radius beyond what was seen at most."""
         self._config, self._own_m = config, radius_m + config.grid.clearance_m
         most_m = self._own_m + config.safety.max_margin_m
-        self._radius_m, self._least_m = radius_m, least_clearance_m(radius_m, config)
-        self.clearance = Clearance(config.grid.cell_m, self._least_m, most_m)
+        self.usual_m = self.least_m = least_clearance_m(radius_m, config)
+        """clearance below which the robot drives nowhere, as a rule and at present"""
+        self.shut_in_m = radius_m if config.safety.guard and self.usual_m <= radius_m + BUFFER_M else self.usual_m
+        """the same of a robot that knows no way home: the map errs by centimetres, the guard watches"""
+        self.clearance = Clearance(config.grid.cell_m, self.usual_m, most_m)
         self.wish_m = self._own_m
         """clearance below which a metre costs more"""
         self._unseen_m = radius_m if stays_near_seen else math.inf
@@ -51,21 +54,18 @@ class DrivingMap:
         self.grid, self.estimate = grid, estimate
         self.clearance.update(grid)
         self.wish_m = self._own_m + _margin_m(estimate.pose_cov, self._config)
-        self._space: tuple[Pose, FreeSpace] | None = None
-
-    def set_shut_in(self, is_shut_in: bool) -> None:
-        """Set whether no way home is known: the map errs by centimetres, so gaps as wide as the robot are tried."""
-        self.clearance.least_m, self._space = self._radius_m if is_shut_in else self._least_m, None
+        self._space: tuple[tuple[Pose, float], FreeSpace] | None = None
 
     def free_space(self, pose: Pose) -> FreeSpace:
         """Where a robot at a pose may drive, and what that costs."""
-        if self._space is None or self._space[0] != pose:
-            self._space = pose, self.clearance.free_space(self.wish_m, pose.position, self._unseen_m)
+        key = pose, self.least_m
+        if self._space is None or self._space[0] != key:
+            self._space = key, self.clearance.free_space(self.least_m, self.wish_m, pose.position, self._unseen_m)
         return self._space[1]
 
     def is_clear(self, path: Array) -> bool:
         """Whether a path (N, 2) is not blocked by now, and passes narrow gaps within half a cell of their middle."""
-        return self._avoids(path, self.clearance.blocked, 0.5)
+        return self._avoids(path, self.clearance.metres < self.least_m, 0.5)
 
     def keeps_wish(self, path: Array) -> bool:
         """Whether a path (N, 2) keeps the clearance that is wished for."""

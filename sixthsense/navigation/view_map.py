@@ -60,6 +60,9 @@ class ViewMap:
         """(H, W) where the robot may drive"""
         self.here = self.cell(pose.position)
         """the robot's cell"""
+        if not self.seen[self.here]:  # of a robot whose laser is ahead of it
+            beside = tuple(slice(max(k - rim, 0), k + rim + 1) for k in self.here)
+            self.passable[beside] |= ~space.blocked[parts][beside]
         self.links = Links.of(self.passable, self.side)
         self.ways, _ = ways_from(self.links, self.tile_cost(1.0), self.tile(self.here), np.zeros((0, 2), np.int64))
         """(R, C) lengths of ways from the robot to tiles, in tiles; inf where none leads"""

@@ -51,18 +51,23 @@ def drawn(grid):
     return clearance
 
 
+def place(clearance, row, col):
+    """(2,) where the clearance of a cell is measured, m."""
+    down, across = clearance.offsets[row, col]
+    return (np.array([col + across, row + down]) + 0.5) * CELL + clearance.origin
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_clearance_of_a_cell_is_the_distance_to_the_nearest_return_from_where_it_is_measured(seed):
     grid = Points(scattered(seed))
     clearance = drawn(grid)
     for row, col in np.ndindex(*clearance.metres.shape):
-        at = clearance.point(row, col)
+        at = place(clearance, row, col)
         away = min(np.hypot(*(grid.points - at).T).min(), MOST)
         assert clearance.metres[row, col] == pytest.approx(away, abs=1e-5)
         centre = (np.array([BOX.left + col, BOX.top + row]) + 0.5) * CELL
         assert np.abs(at - centre).max() < 0.5 * CELL
         assert away >= min(np.hypot(*(grid.points - centre).T).min(), MOST) - 1e-6
-    assert np.array_equal(clearance.blocked, clearance.metres < np.float32(LEAST))
     assert clearance.offsets.any() and (clearance.offsets == 0.0).all(axis=2).mean() > 0.9
 
 
@@ -80,7 +85,7 @@ def wall_with_gap(width_m, angle, off):
 
 
 def leads_through(clearance, middle, across):
-    parts, _ = ndimage.label(~clearance.blocked)
+    parts, _ = ndimage.label(~(clearance.metres < LEAST))
     sides = [parts[clearance.cell(middle + side * 0.45 * across)] for side in (-1, 1)]
     return sides[0] == sides[1] > 0
 
@@ -105,34 +110,36 @@ def test_what_has_changed_is_drawn_as_if_drawn_anew():
         before = clearance.metres.copy()
         clearance.update(grid)
         assert (clearance.metres != before).any()
-        for name in ("metres", "offsets", "blocked", "obstacles"):
+        for name in ("metres", "offsets", "obstacles"):
             np.testing.assert_allclose(getattr(clearance, name), getattr(drawn(grid), name), atol=1e-5)
 
 
 def test_a_metre_costs_more_below_the_clearance_that_is_wished_for_and_is_blocked_below_the_least():
     clearance = drawn(Points(scattered(2)))
-    space = clearance.free_space(0.4)
+    space = clearance.free_space(LEAST, 0.4)
     expected = np.where(clearance.metres < 0.4, (0.4 / clearance.metres) ** 2, 1.0)
-    expected[clearance.blocked] = np.inf
+    expected[(clearance.metres < LEAST)] = np.inf
     np.testing.assert_allclose(space.cost, expected, rtol=1e-5)
-    assert np.array_equal(space.blocked, clearance.blocked) and (space.cost > 1.1).sum() > (space.blocked.sum() + 20)
+    assert np.array_equal(space.blocked, (clearance.metres < LEAST)) and (space.cost > 1.1).sum() > (
+        space.blocked.sum() + 20
+    )
 
 
 def test_a_robot_in_a_blocked_cell_may_go_where_there_is_no_less_clearance_than_it_has_and_no_other():
     clearance = drawn(Points(scattered(3)))
     near = np.argwhere((clearance.metres > 0.12) & (clearance.metres < 0.15))
     row, col = near[len(near) // 2]
-    space = clearance.free_space(0.4, clearance.point(row, col))
-    opened = np.argwhere(clearance.blocked & ~space.blocked)
+    space = clearance.free_space(LEAST, 0.4, place(clearance, row, col))
+    opened = np.argwhere((clearance.metres < LEAST) & ~space.blocked)
     assert (row, col) in map(tuple, opened.tolist())
     assert (clearance.metres[tuple(opened.T)] >= clearance.metres[row, col]).all()
     assert (np.abs(opened - (row, col)) <= math.ceil(0.4 / CELL)).all()
-    free = clearance.point(*np.argwhere(clearance.metres > 0.3)[0])
-    assert np.array_equal(clearance.free_space(0.4, free).blocked, clearance.blocked)
+    free = place(clearance, *np.argwhere(clearance.metres > 0.3)[0])
+    assert np.array_equal(clearance.free_space(LEAST, 0.4, free).blocked, (clearance.metres < LEAST))
 
 
 def test_cells_far_from_all_seen_ones_are_blocked_for_a_robot_that_drives_through_what_was_seen():
     clearance = drawn(Points(np.array([[1.0, 0.2]])))
-    blocked = clearance.free_space(0.4, unseen_m=0.2).blocked
+    blocked = clearance.free_space(LEAST, 0.4, unseen_m=0.2).blocked
     assert not blocked[:, 60:74].any() and blocked[:, 74:].all()  # the first 70 columns were seen
-    assert not clearance.free_space(0.4).blocked[:, 60:].any()
+    assert not clearance.free_space(LEAST, 0.4).blocked[:, 60:].any()

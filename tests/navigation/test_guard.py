@@ -189,6 +189,16 @@ def test_the_motion_since_the_scan_counts_until_the_next_one() -> None:
         assert guard.check(ARC).speed == pytest.approx(min(limit, ARC.speed), rel=6e-3)  # steps of 1 mm
 
 
+def test_earlier_returns_are_kept_by_their_distance_from_the_robot_wherever_its_laser_is() -> None:
+    config = merge(CONFIG, {"laser": {"mount": (-0.9, 0.1, 0.3)}})
+    guard, scan = Guard(config, RADIUS), Scan.from_config(np.full(config.laser.beams, 1.2), config.laser)
+    near = scan.points_robot[np.linalg.norm(scan.points_robot, axis=1) < 0.5]
+    guard.see(scan)
+    guard.see(scan)
+    kept = guard.obstacles().earlier
+    assert len(near) > 10 and all((np.abs(kept - point).max(axis=1) < 1e-9).any() for point in near)
+
+
 def test_an_earlier_return_is_where_odometry_has_left_it() -> None:
     far, bearing = 0.44, 0.45
     guard, point = seen_at(far, bearing, before=Pose(0.3, -0.2, 1.1)), far * rotation(bearing)[:, 0]

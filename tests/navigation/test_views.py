@@ -104,12 +104,23 @@ def test_when_nothing_is_left_to_see_the_robot_drives_home_and_has_explored() ->
 def test_without_a_way_home_the_goal_is_unreachable_but_with_people_the_robot_waits() -> None:
     stage = seen_room()
     stage.next(START)
+    assert stage.next(START, "no way").position.tolist() == START.position.tolist()  # by gaps of its own width
     assert stage.next(START, "no way") is None and stage.task.outcome == "goal unreachable"
     patient = seen_room(people=True)
     goals = [patient.next(START)]
     while patient.task.outcome is None:
         goals.append(patient.next(START, "no way"))
     assert len(goals) == 7 and patient.task.outcome == "goal unreachable"
+
+
+def test_a_robot_whose_own_cell_its_laser_does_not_see_looks_on() -> None:
+    """The laser is ahead of its centre, and looks forward."""
+    stage = Stage(two_rooms(1.0), (), laser={"fov": math.pi, "beams": 181, "mount": (0.2, 0.0, 0.0)})
+    ahead = START @ Pose(0.2, 0.0, 0.0)
+    ranges = cast_rays(ahead, beam_bearings(stage.config.laser), stage.walls, stage.config.laser.max_range)
+    stage.grid.add(START, Scan.from_config(ranges, stage.config.laser))
+    assert stage.next(START).turn_rad > 0.0 and stage.task.state == "viewing"
+    assert not stage.map.clearance.seen[stage.map.clearance.cell(START.position)]
 
 
 def test_a_robot_that_is_stuck_twice_without_an_arrival_is_stuck() -> None:
@@ -248,7 +259,7 @@ def drawn(obstacles, seen, pose):
     clearance = Clearance(0.05, 0.22, 0.5)
     clearance.box, clearance.seen, clearance.obstacles = Box(0, 0, *seen.shape), seen, obstacles
     clearance.metres = np.where(obstacles, np.float32(0.0), np.float32(0.3))
-    space = clearance.free_space(0.5)
+    space = clearance.free_space(0.22, 0.5)
     map_ = SimpleNamespace(clearance=clearance, free_space=lambda pose: space)
     region = 0.0, 0.0, 0.05 * seen.shape[1], 0.05 * seen.shape[0]
     return ViewMap(map_, pose, region, 0.5, RADIUS, np.zeros_like(seen)), space
