@@ -8,7 +8,7 @@
 - Closing a loop: where the position is uncertain, and a way back pays, it drives to a place where it was certain.
 - Waiting: where something was given up and people are expected, it looks again after a turn, for a while.
 - Going home: when no target is left. The exploration ends there. It also ends if the robot is stuck twice without an
-  arrival between.
+  arrival between, or once on its way home. A robot without a known way home tries gaps of its own width.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ State = Literal["viewing", "closing a loop", "waiting", "going home"]
 
 TRIES = 2
 """a target that was not seen at so many tries, with a turn at each viewpoint, is given up: a single one may mislead"""
-_SEEN_FRACTION = 0.2  # a target is seen when at most this share of it is unknown
+_MOST_UNKNOWN = 0.2  # a target is seen when at most this share of it is unknown
 
 
 class SensorModel(NamedTuple):
@@ -84,7 +84,7 @@ class Exploration:
         self._target: Target | None = None
         self._failures: Counter[Cell] = Counter()  # tries to see each cell; cells are counted from the world's origin
         self._is_stuck = False  # since a goal was reached last
-        self._has_left_view = True  # since the last loop closure: else one loop closure could follow another for ever
+        self._has_left_view = True  # since a return was last considered: else one could follow another for ever
         self._waits, self._seen_m2 = 0, 0.0  # waits since the robot saw anything new; the area seen by then
 
     def next(self, map_: DrivingMap, pose: Pose, event: Event) -> Goal | None:
@@ -107,10 +107,7 @@ class Exploration:
             if event == "stopped" and not self._is_given_up(self._target):
                 return
             self._has_left_view = True
-        elif self._history.needs_loop_closure and (self._has_left_view or self._history.is_much_less_certain):
-            if self._begins_loop_closure(map_, pose):
-                return
-        elif self._is_worth_going_on(map_):
+        elif self._begins_loop_closure(map_, pose) or self._is_worth_going_on(map_):
             return
         self._choose_view(map_, pose)
 
@@ -154,8 +151,12 @@ class Exploration:
             self._choose_view(map_, pose)
 
     def _begins_loop_closure(self, map_: DrivingMap, pose: Pose) -> bool:
-        """Head for the nearest place to which a return is worth its way; whether there is one."""
+        """Head for the nearest place to which a return is worth its way; whether one is due, and there is one."""
+        is_wanted = self._has_left_view or self._history.is_much_less_certain
+        if not (self._history.needs_loop_closure and is_wanted):
+            return False
         self._history.postpone_loop_closure()
+        self._has_left_view = False
         places = self._history.well_known_places()
         view = self._map_of_views(map_, pose, self._config.explore.margin_m)
         cells = np.array([view.cell(place[:2]) for place in places], dtype=np.int64).reshape(-1, 2)
@@ -165,7 +166,7 @@ class Exploration:
             return False
         place = places[int(np.argmin(lengths_m))]
         self._history.go_back(place)
-        self.state, self._target, self._has_left_view = "closing a loop", None, False
+        self.state, self._target = "closing a loop", None
         self._goal = Goal(place[:2], 0.0)
         return True
 
@@ -234,7 +235,7 @@ class Exploration:
             return False
         rows, cols = (target.cells - clearance.first).T
         unknown = ~(clearance.seen[rows, cols] | clearance.obstacles[rows, cols])
-        return float(unknown.mean()) > _SEEN_FRACTION
+        return float(unknown.mean()) > _MOST_UNKNOWN
 
     def _sees_walls(self, clearance: Clearance, pose: Pose) -> bool:
         """Whether an obstacle lies within the laser's reach."""

@@ -135,7 +135,7 @@ class Explorer(Protocol):
 
 
 class FrontierExplorer:
-    """The first viewpoint of a short tour through all frontiers and home."""
+    """The first viewpoint of a short tour through the nearest frontiers and home."""
 
     def __init__(self, rng: np.random.Generator | None = None) -> None:
         """It draws nothing from `rng`."""

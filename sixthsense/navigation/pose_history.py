@@ -78,15 +78,12 @@ class PoseHistory:
         self._promised_m = float(place[2])
 
     def came_back(self) -> None:
-        """Record that going back is over.
+        """Record that going back is over: places known little better than that one count as uncertain as the robot is.
 
-        Places known little better than that one count as uncertain as the robot is, and as passed just now: else it
-        would go back to them again and again, where what lies ahead cannot be known better.
+        Else the robot would go back to them again and again.
         """
         least_m = _WELL_KNOWN * self._promised_m
-        self._rows = [
-            (x, y, max(s, self.sigma_m), self.way_m) if s >= least_m else (x, y, s, way) for x, y, s, way in self._rows
-        ]
+        self._rows = [(x, y, max(s, self.sigma_m) if s >= least_m else s, way) for x, y, s, way in self._rows]
 
     def are_worth_it(self, places: Array, lengths_m: Array) -> NDArray[np.bool_]:
         """(K,) whether a return to `places` (K, 4) by ways of some lengths (K,) makes the position much more certain.

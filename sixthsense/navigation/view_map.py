@@ -120,7 +120,7 @@ class ViewMap:
         return divmod(index, self.seen.shape[1]) if index >= 0 else None
 
     def shows_enough(self, viewpoint: Cell, piece: Piece, unseen: Bools) -> bool:
-        """Whether much of what is `unseen` (H, W) is in view, up to a piece's side behind the frontier.
+        """Whether much of what is `unseen` (H, W) is in view, in a circle that reaches `PIECE_M` beyond the piece.
 
         Most frontiers that show little are holes that beams left in walls.
         """
