@@ -50,7 +50,7 @@ class GuardLimits(NamedTuple):
 
 
 class Obstacles(NamedTuple):
-    """What the guard knows of the surroundings: returns, metres, in the robot's frame at the latest scan if not said."""
+    """Returns about the robot, metres; in its frame at the latest scan if not said."""
 
     points: Array
     """(N, 2) all returns"""
