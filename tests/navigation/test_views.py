@@ -113,6 +113,12 @@ def test_without_a_way_home_the_goal_is_unreachable_but_with_people_the_robot_wa
     assert len(goals) == 7 and patient.task.outcome == "goal unreachable"
 
 
+def test_an_uncertain_robot_for_which_no_return_pays_keeps_its_view() -> None:
+    stage = Stage(two_rooms(1.0))
+    goal = stage.next(START, sigma_m=0.41)
+    assert stage.task.state == "viewing" and all(stage.next(START, sigma_m=sigma) is goal for sigma in (0.42, 0.43))
+
+
 def test_a_robot_whose_own_cell_its_laser_does_not_see_looks_on() -> None:
     """The laser is ahead of its centre, and looks forward."""
     stage = Stage(two_rooms(1.0), (), laser={"fov": math.pi, "beams": 181, "mount": (0.2, 0.0, 0.0)})
