@@ -190,7 +190,9 @@ class Exploration:
             self._finish()
         elif event in ("no way", "stuck"):
             if self._may_wait(map_) or (event == "no way" and map_.least_m > map_.shut_in_m):
-                map_.least_m, self._goal = map_.shut_in_m, Goal(self._home, 0.0)
+                map_.least_m = map_.shut_in_m
+                near = map_.free_space(pose).nearest_free(self._home, 2.0 * self._radius_m)  # beside a stray return
+                self._goal = Goal(self._home if near is None else near, 0.0)
             else:
                 self.outcome = "goal unreachable" if event == "no way" else "stuck"
 

@@ -113,6 +113,19 @@ def test_without_a_way_home_the_goal_is_unreachable_but_with_people_the_robot_wa
     assert len(goals) == 7 and patient.task.outcome == "goal unreachable"
 
 
+def test_a_robot_whose_home_is_blocked_drives_beside_it() -> None:
+    pillar = box(START.x + 0.02, START.y + 0.03, START.x + 0.08, START.y + 0.09)
+    stage = Stage(np.concatenate([ROOM, pillar]), [Pose(x, y, 0.0) for x in (0.4, 2.3) for y in (0.4, 2.3)])
+    far = Pose(2.3, 2.3, 0.0)
+    while stage.task.state != "going home":
+        goal = stage.next(far, "arrived" if stage.task._goal else "looked")
+    paths = PathPlanner(AStar(), stage.config)
+    assert paths.plan(stage.map, far, goal.position) is None
+    beside = stage.next(far, "no way").position
+    assert 0.1 < math.dist(beside, START.position) <= 2.0 * RADIUS
+    assert paths.plan(stage.map, far, beside) is not None
+
+
 def test_an_uncertain_robot_for_which_no_return_pays_keeps_its_view() -> None:
     stage = Stage(two_rooms(1.0))
     goal = stage.next(START, sigma_m=0.41)
