@@ -209,7 +209,7 @@ class Exploration:
         given_up: Bools = np.zeros_like(clearance.seen)
         cells = np.array([cell for cell, count in self._failures.items() if count >= TRIES], dtype=np.int64)
         given_up[tuple((cells.reshape(-1, 2) - clearance.first).T)] = True
-        for least_m in (map_.usual_m, map_.shut_in_m):
+        for least_m in sorted({map_.usual_m, map_.shut_in_m}, reverse=True):
             map_.least_m = least_m
             view = ViewMap(map_, pose, self._region, outside_m, self._radius_m, given_up)
             home = map_.free_space(pose).nearest_free(self._home, GOAL_SLACK_M)

@@ -118,11 +118,10 @@ def test_a_metre_costs_more_below_the_clearance_that_is_wished_for_and_is_blocke
     clearance = drawn(Points(scattered(2)))
     space = clearance.free_space(LEAST, 0.4)
     expected = np.where(clearance.metres < 0.4, (0.4 / clearance.metres) ** 2, 1.0)
-    expected[(clearance.metres < LEAST)] = np.inf
+    expected[clearance.metres < LEAST] = np.inf
     np.testing.assert_allclose(space.cost, expected, rtol=1e-5)
-    assert np.array_equal(space.blocked, (clearance.metres < LEAST)) and (space.cost > 1.1).sum() > (
-        space.blocked.sum() + 20
-    )
+    assert np.array_equal(space.blocked, clearance.metres < LEAST)
+    assert (space.cost > 1.1).sum() > (space.blocked.sum() + 20)
 
 
 def test_a_robot_in_a_blocked_cell_may_go_where_there_is_no_less_clearance_than_it_has_and_no_other():
@@ -135,7 +134,7 @@ def test_a_robot_in_a_blocked_cell_may_go_where_there_is_no_less_clearance_than_
     assert (clearance.metres[tuple(opened.T)] >= clearance.metres[row, col]).all()
     assert (np.abs(opened - (row, col)) <= math.ceil(0.4 / CELL)).all()
     free = place(clearance, *np.argwhere(clearance.metres > 0.3)[0])
-    assert np.array_equal(clearance.free_space(LEAST, 0.4, free).blocked, (clearance.metres < LEAST))
+    assert np.array_equal(clearance.free_space(LEAST, 0.4, free).blocked, clearance.metres < LEAST)
 
 
 def test_cells_far_from_all_seen_ones_are_blocked_for_a_robot_that_drives_through_what_was_seen():

@@ -17,6 +17,7 @@ from sixthsense.navigation.explorer import ExplorationView
 from sixthsense.navigation.frontier import Known, frontier_pieces, frontier_points
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import unseen_places
 from sixthsense.navigation.view_map import ViewMap
 from sixthsense.navigation.visibility import line_of_sight, nearest_view, visible_cells
@@ -126,10 +127,13 @@ def test_a_robot_whose_home_is_blocked_drives_beside_it() -> None:
     assert paths.plan(stage.map, far, beside) is not None
 
 
-def test_an_uncertain_robot_for_which_no_return_pays_keeps_its_view() -> None:
-    stage = Stage(two_rooms(1.0))
+def test_an_uncertain_robot_for_which_no_return_pays_keeps_its_view_and_asks_once(monkeypatch) -> None:
+    stage, asked = Stage(two_rooms(1.0)), []
+    postpone = PoseHistory.postpone_loop_closure
+    monkeypatch.setattr(PoseHistory, "postpone_loop_closure", lambda self: asked.append(postpone(self)))
     goal = stage.next(START, sigma_m=0.41)
     assert stage.task.state == "viewing" and all(stage.next(START, sigma_m=sigma) is goal for sigma in (0.42, 0.43))
+    assert len(asked) <= 2  # before the view was chosen, and once on the way to it
 
 
 def test_a_robot_whose_own_cell_its_laser_does_not_see_looks_on() -> None:
