@@ -106,8 +106,11 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Defer the first signal in the block; the yielded function returns whether there was one. A second Ctrl-C raises.
 
     So does one in a later block within two seconds: pressing twice ends a loop over many runs. Outside of commands the
-    only signal is Ctrl-C. Outside of the main thread no signal can be handled.
+    only signal is Ctrl-C. Outside of the main thread, which alone receives signals, the block defers none.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
     with handled(signal.SIGINT):
         before, _signals.is_deferred = _signals.is_deferred, True
         try:

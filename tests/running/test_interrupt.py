@@ -3,6 +3,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -34,6 +35,26 @@ def test_the_previous_handler_is_restored_and_a_second_press_is_not_deferred():
         with pytest.raises(KeyboardInterrupt):
             press()
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_signal_is_the_main_threads_alone():
+    defers, is_pressed, seen = threading.Event(), threading.Event(), []
+
+    def run_elsewhere():
+        with deferred_interrupt() as interrupted:
+            defers.set()
+            is_pressed.wait(5.0)
+            seen.append(interrupted())
+
+    elsewhere = threading.Thread(target=run_elsewhere)
+    with interrupt.handled(signal.SIGINT):
+        elsewhere.start()
+        assert defers.wait(5.0)
+        with pytest.raises(KeyboardInterrupt):
+            press()
+        is_pressed.set()
+        elsewhere.join()
+    assert seen == [False]
 
 
 def test_a_run_that_is_interrupted_before_its_first_scan_is_none():
