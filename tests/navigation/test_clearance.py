@@ -7,6 +7,7 @@ import pytest
 from scipy import ndimage
 
 from sixthsense.navigation.clearance import Clearance
+from sixthsense.navigation.guard import BUFFER_M
 from sixthsense.slam.mapping.changes import Box, Changes
 
 CELL, LEAST, MOST = 0.05, 0.22, 0.52
@@ -84,19 +85,20 @@ def wall_with_gap(width_m, angle, off):
     return means, middle, np.array([-along[1], along[0]])
 
 
-def leads_through(clearance, middle, across):
-    parts, _ = ndimage.label(~(clearance.metres < LEAST))
+def leads_through(clearance, least, middle, across):
+    parts, _ = ndimage.label(~(clearance.metres < least))
     sides = [parts[clearance.cell(middle + side * 0.45 * across)] for side in (-1, 1)]
     return sides[0] == sides[1] > 0
 
 
+@pytest.mark.parametrize("least", [LEAST, LEAST - BUFFER_M])
 @pytest.mark.parametrize("angle", [0.0, 0.2, 0.5, 0.8, 1.4])
-def test_a_gap_is_as_wide_as_its_returns_are_apart_whichever_way_it_lies_to_the_cells(angle):
+def test_a_gap_is_as_wide_as_its_returns_are_apart_whichever_way_it_lies_to_the_cells(angle, least):
     rng = np.random.default_rng(round(10 * angle))
     for off in rng.uniform(-CELL, CELL, (20, 2)):
-        wide, narrow = (wall_with_gap(2.0 * LEAST + by, angle, off) for by in (0.01, -0.01))
-        assert leads_through(drawn(Points(wide[0])), *wide[1:])
-        assert not leads_through(drawn(Points(narrow[0])), *narrow[1:])
+        wide, narrow = (wall_with_gap(2.0 * least + by, angle, off) for by in (0.01, -0.01))
+        assert leads_through(drawn(Points(wide[0])), least, *wide[1:])
+        assert not leads_through(drawn(Points(narrow[0])), least, *narrow[1:])
 
 
 def test_what_has_changed_is_drawn_as_if_drawn_anew():
