@@ -90,7 +90,7 @@ def _on_line(returns: Returns, target: int, q: int, x: float, y: float, point: t
 
 @numba.njit(cache=True, error_model="numpy")
 def agreement_of(views: Views, pose: Array) -> Agreement:
-    """Agreement of a scan at `pose` (3,) with that of others of which it has most lines: a mean of both ways.
+    """Agreement, the mean of both ways, of a scan at `pose` (3,) with that other one on whose lines most returns lie.
 
     The others may have seen other sides of what it sees.
     """

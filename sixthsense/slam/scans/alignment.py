@@ -71,14 +71,14 @@ class Sums(NamedTuple):
     """(3, 3) what the noise of the normals adds to it"""
     gradient: Array
     """(3,)"""
-    totals: Array
-    """(3,) weights, partners, and weighted squares, m^2"""
+    partners: Array
+    """(1,) number of pairs"""
 
 
 @numba.njit(cache=True, error_model="numpy")
 def no_sums(pairs: int) -> Sums:
     """Sums of so many pairs of scans, zero."""
-    return Sums(np.zeros((pairs, 3, 3)), np.zeros((pairs, 3, 3)), np.zeros((pairs, 3)), np.zeros((pairs, 3)))
+    return Sums(np.zeros((pairs, 3, 3)), np.zeros((pairs, 3, 3)), np.zeros((pairs, 3)), np.zeros(pairs))
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
@@ -171,7 +171,7 @@ def add(returns: Returns, lines: int, points: int, pose: Array, axes: Axes, gate
     stride = bearings_at(returns, points).stride
     partners, shared = partners_of(returns, lines, points, pose, gate_m)
     # Numbers instead of arrays: a compiler keeps them in registers.
-    xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = fxx = fxy = fxt = fyy = fyt = ftt = 0.0
+    xx = xy = xt = yy = yt = tt = gx = gy = gt = count = fxx = fxy = fxt = fyy = fyt = ftt = 0.0
     for i in range(len(partners)):
         q, k = partners[i], i * stride
         if q < 0:
@@ -189,7 +189,7 @@ def add(returns: Returns, lines: int, points: int, pose: Array, axes: Axes, gate
         xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * turn
         yy, yt, tt = yy + wy * ny, yt + wy * turn, tt + wt * turn
         gx, gy, gt = gx + wx * r, gy + wy * r, gt + wt * r
-        weights, hits, squares = weights + weight, hits + pairs, squares + weight * r * r
+        count += pairs
         # An error of the normal's angle moves the distance by the turned line's derivatives.
         feigned = weight * normals[q, 2]
         fx, fy = -feigned * ny, feigned * nx
@@ -199,8 +199,7 @@ def add(returns: Returns, lines: int, points: int, pose: Array, axes: Axes, gate
     _add_symmetric(sums.feigned, (fxx, fxy, fxt, fyy, fyt, ftt))
     for i, gradient in enumerate((gx, gy, gt)):
         sums.gradient[i] += axes.sign * gradient
-    for i, total in enumerate((weights, hits, squares)):
-        sums.totals[i] += total
+    sums.partners[0] += count
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -219,7 +218,7 @@ def add_all(views: Views, pose: Array, gate_m: float, both: bool, sums: Sums) ->
 
     Axes are those of the frame of the pose.
     """
-    sums.hessian[:], sums.feigned[:], sums.gradient[:], sums.totals[:] = 0.0, 0.0, 0.0, 0.0
+    sums.hessian[:], sums.feigned[:], sums.gradient[:], sums.partners[:] = 0.0, 0.0, 0.0, 0.0
     for r in range(len(views.targets)):
         seen, heading = between(triple(views.at[r]), triple(pose)), views.at[r, 2]
         lines, points, at, axes = views.targets[r], views.source, seen, Axes(seen[0], seen[1], heading, 1.0)
@@ -230,7 +229,7 @@ def add_all(views: Views, pose: Array, gate_m: float, both: bool, sums: Sums) ->
 
 @numba.njit(cache=True, error_model="numpy")
 def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, sums: Sums) -> None:
-    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,); computes `sums` there.
+    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,); `sums` are those before the last step.
 
     `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly moves any more.
     """

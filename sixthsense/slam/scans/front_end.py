@@ -121,10 +121,9 @@ class ScanFrontEnd:
             self._estimator.update({})
             key = self._kept(expectation, tracked)
         with self._clock("link"):
-            self._graph.link(key, self._graph.near_linked(key), self.loop_closures.latest, is_new=True)
-        if self._config.scans.loop_closures:
-            with self._clock("loop_closure"):
-                self.loop_closures.look(key)
+            self._graph.link(key, self.loop_closures.near(key), self.loop_closures.latest)
+        with self._clock("loop_closure"):
+            self.loop_closures.look(key)
         estimate = self._reported(self._estimator.estimate())
         self.pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = LastScan(self._graph.poses[key].copy(), Pose().triple(), self._last.motion)
@@ -138,6 +137,7 @@ class ScanFrontEnd:
         if self._config.scans.loop_closures and self._store.count:
             with self._clock("loop_closure"):
                 self.loop_closures.look_at_end()
+        self._graph.refresh()
         key = self._reported(self._estimator.estimate())
         self._estimator.predict(motion)
         estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=propagated(key.pose, key.pose_cov, motion))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.covariance import chi_square_quantile, root_information
@@ -130,12 +130,12 @@ class ScanGraph(PlacedScans):
         self.poses[:] = compose(self.estimator.trajectory(), self.mount)
         self._refreshed = self.count
 
-    def link(self, key: int, old: Keys, closure: int, is_new: bool = False) -> None:
-        """Link a keyframe to old ones near it, and if it `is_new` to those before it since the robot was last carried.
+    def link(self, key: int, old: Keys, closure: int) -> None:
+        """Link a new keyframe to old ones near it, and to those before it since the robot was last carried.
 
         Poses relative to it are known to some decimetres. All at once: each time costs the estimator a solution.
         """
-        recent = np.arange(max(self.first, key - LINKS), key if is_new else 0)
+        recent = np.arange(max(self.first, key - LINKS), key)
         targets, is_old = np.concatenate([recent, old]), np.arange(len(recent) + len(old)) >= len(recent)
         starts = between(self.poses[targets], self.poses[key]).reshape(-1, 3)
         found = align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, NEAR_GATE_M)
@@ -266,10 +266,14 @@ class ScanGraph(PlacedScans):
         reach = 2 * LINKS
         old = self.linked_old(key - reach, key - 1)
         around = old[:, None] + np.arange(-reach, reach + 1)
-        return self.nearest(key, np.intersect1d(around, np.flatnonzero(self.is_kept[: max(0, key - OLD_AGE)])))
+        return self.nearest(key, np.intersect1d(around, self.old(key)))
+
+    def old(self, key: int) -> Keys:
+        """Keyframes in the graph that are not of the pass of keyframe `key`: old ones, or from before a carry."""
+        return np.flatnonzero(self.is_kept[: max(self.first, key - OLD_AGE, 0)])
 
     def nearest(self, key: int, candidates: Keys) -> Keys:
-        """The few of the candidates that a keyframe is linked to: those with the nearest poses.
+        """The candidates, at most `LINKS`, with the poses nearest to that of a keyframe, within reach.
 
         Links to poses of one pass, side by side, cost the solver a third less than links to those whose views overlap
         most, which are of several passes.
@@ -287,13 +291,13 @@ class ScanGraph(PlacedScans):
         ends = np.concatenate([np.column_stack([steps - 1, steps]), self._old])
         xx, yy, xy = covs[:, 0, 0], covs[:, 1, 1], covs[:, 0, 1]
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        own = np.column_stack([largest, covs[:, 2, 2]])
-        variances = np.concatenate([self._keyframes["step"][1 : self.count], own])
+        variances = np.vstack([self._keyframes["step"][1 : self.count], np.column_stack([largest, covs[:, 2, 2]])])
         lever = self.poses[ends[:, 1], :2] - self.poses[key, :2]
         costs = variances[:, 0] + variances[:, 1] * (lever**2).sum(axis=1), variances[:, 1]
-        shape = (self.count, self.count)
-        ways = (dijkstra(coo_array((cost, ends.T), shape).tocsr(), directed=False, indices=[key]) for cost in costs)
-        position, heading = (np.sqrt(way[0]) for way in ways)
+        # Rows by hand: a conversion would add up the variances of several edges between two keyframes.
+        order, first = np.argsort(ends[:, 0]), np.searchsorted(np.sort(ends[:, 0]), np.arange(self.count + 1))
+        graphs = (csr_array((cost[order], ends[order, 1], first), (self.count, self.count)) for cost in costs)
+        position, heading = (np.sqrt(dijkstra(graph, directed=False, indices=key)) for graph in graphs)
         return position, heading
 
 

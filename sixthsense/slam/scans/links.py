@@ -43,8 +43,8 @@ class Alignments(NamedTuple):
     """(m, 3) of the source in the target's frame"""
     hessians: Array
     """(m, 3, 3) of half the squares of the distances, both ways, without what the normals' noise adds"""
-    totals: Array
-    """(m, 3) weights, partners and weighted squares of both ways"""
+    partners: Array
+    """(m,) of returns, both ways"""
     seen: Array
     """(m, 2, 4) `Agreement` of the source seen by the target, and the other way round"""
 
@@ -56,7 +56,7 @@ class Alignments(NamedTuple):
         """
         hits, through, count = self.seen[:, :, 1], self.seen[:, :, 2], self.seen[:, :, 3]
         is_shared = (hits >= usual * least_seen * count) & (hits >= usual * AGREEMENT * (hits + through))
-        return np.asarray((self.totals[:, 1] >= LEAST_RETURNS) & is_shared.all(axis=1))
+        return np.asarray((self.partners >= LEAST_RETURNS) & is_shared.all(axis=1))
 
     def rows(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> Alignments:
         """Some of them."""
@@ -90,22 +90,16 @@ def align_pairs(
     anchor, origin = np.eye(3) / SIGMA_M**2, np.zeros((1, 3))  # of one return: it holds what the scans do not observe
     for k in range(m):
         target, source, pose = targets[k], sources[k], poses[k]
-        own = Sums(sums.hessian[k], sums.feigned[k], sums.gradient[k], sums.totals[k])
-        align(
-            Views(returns, source, targets[k : k + 1], origin, 1.0),
-            Prior(pose.copy(), anchor, math.inf),
-            gate_m,
-            True,
-            pose,
-            own,
-        )
+        own = Sums(sums.hessian[k], sums.feigned[k], sums.gradient[k], sums.partners[k : k + 1])
+        views, prior = Views(returns, source, targets[k : k + 1], origin, 1.0), Prior(pose.copy(), anchor, math.inf)
+        align(views, prior, gate_m, True, pose, own)
         there, back = (
             agreement(returns, target, source, triple(pose)),
             agreement(returns, source, target, inverse(triple(pose))),
         )
         for i in range(4):
             seen[k, 0, i], seen[k, 1, i] = there[i], back[i]
-    return Alignments(targets, sources, poses, sums.hessian - sums.feigned, sums.totals, seen)
+    return Alignments(targets, sources, poses, sums.hessian - sums.feigned, sums.partners, seen)
 
 
 def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:

@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config.sections import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
-from sixthsense.slam.estimators.thinning import OLD_AGE, Thinning
+from sixthsense.slam.estimators.thinning import Thinning
 from sixthsense.slam.front_end import LoopClosureCounts
-from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, ScanGraph
+from sixthsense.slam.scans.graph import LINKS, M_PER_RAD, REACH_M, Keys, ScanGraph
 from sixthsense.slam.scans.known_places import BACK_M, CARRIED_M, KnownPlaces
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import (
@@ -51,7 +50,9 @@ class LoopClosures:
         self._min_score = config.min_score
         self._places = KnownPlaces(graph)
         self._votes = Votes(graph)
-        self._looked_m = self._search_from_m = 0.0
+        self._looked_m, self._search_from_m = 0.0 if config.loop_closures else math.inf, 0.0
+        self._uncertain: tuple[Keys, tuple[Array, Array]] | None = None
+        """old keyframes relative to which the newest one is uncertain, and its sigmas, if a search is due"""
         self._refused = 0
         """places that looked right, and were refused"""
         self._accepted = 0
@@ -81,13 +82,21 @@ class LoopClosures:
         # Scans have errors in common with those that they are aligned with, which add up.
         self._graph.moved(travel_m, position + _DRIFT_M**2 * travel_m, heading + _DRIFT_RAD**2 * travel_m)
 
+    def near(self, key: int) -> Keys:
+        """Old keyframes that the newest one is to be linked to; every 0.6 m of travel all that are certain are asked."""
+        graph, self._uncertain = self._graph, None
+        near, travelled_m = graph.near_linked(key), float(graph.travelled_m[key])
+        if travelled_m - self._looked_m < _PERIOD_M:
+            return near
+        self._looked_m = travelled_m
+        certain, self._uncertain = self._old(key)
+        return graph.nearest(key, np.union1d(near, certain))
+
     def look(self, key: int) -> None:
-        """Every 0.6 m of travel link the newest keyframe to old ones and search for a loop closure; thin the graph."""
+        """Search for a loop closure every 0.6 m of travel, and thin the graph."""
         graph = self._graph
-        travelled_m = float(graph.travelled_m[key])
-        if travelled_m - self._looked_m >= _PERIOD_M:
-            self._looked_m = travelled_m
-            self._look_around(key)
+        if self._uncertain is not None and graph.travelled_m[key] >= self._search_from_m:
+            self._search_among(key, *self._uncertain)
         old_links = graph.old_links()
         # New territory stays bound to the keyframes before it, and a loop to those that closed it.
         leaving = self._thinning.leaving(
@@ -100,20 +109,15 @@ class LoopClosures:
     def look_at_end(self) -> None:
         """Look for a loop closure with the last scans alone, which are all that the place where a log ends has."""
         key = self._graph.count - 1
-        _, uncertain, sigmas = self._old(key)
+        _, (uncertain, sigmas) = self._old(key)
         found = self._best_place(key, uncertain, sigmas, LEAST_SCANS)
         if found is not None and not found.is_ambiguous:
             links = [each for each in found.evidence.links if len(each.targets)]
             if len(links) == LEAST_SCANS:
                 self.close(Alignments.joined(links))
 
-    def _look_around(self, key: int) -> None:
-        graph, (certain, uncertain, sigmas) = self._graph, self._old(key)
-        near = graph.nearest(key, certain)
-        graph.link(key, np.setdiff1d(near, graph.linked_old(key, key)), self.latest)
-        if graph.travelled_m[key] < self._search_from_m:
-            return
-        found = self._best_place(key, uncertain, sigmas)
+    def _search_among(self, key: int, uncertain: Keys, sigmas: tuple[Array, Array]) -> None:
+        graph, found = self._graph, self._best_place(key, uncertain, sigmas)
         if found is None:
             return
         if found.is_ambiguous:
@@ -124,15 +128,15 @@ class LoopClosures:
             _, first = np.unique(np.column_stack([links.targets, links.sources]), axis=0, return_index=True)
             self.close(links.rows(np.sort(first)))  # each pair once
 
-    def _old(self, key: int) -> tuple[NDArray[np.int64], NDArray[np.int64], tuple[Array, Array]]:
-        """Old keyframes relative to which one is certain, and uncertain; and its sigmas relative to all."""
-        old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - OLD_AGE, 0)])
+    def _old(self, key: int) -> tuple[Keys, tuple[Keys, tuple[Array, Array]]]:
+        """Old keyframes relative to which one is certain; those where it is uncertain, and its sigmas relative to all."""
+        old = self._graph.old(key)
         sigma_m, sigma_rad = self._graph.sigmas(key)
         is_certain = (sigma_m[old] < _CERTAIN_M) & (sigma_rad[old] < _CERTAIN_RAD)
-        return old[is_certain], old[~is_certain], (sigma_m, sigma_rad)
+        return old[is_certain], (old[~is_certain], (sigma_m, sigma_rad))
 
     def _best_place(
-        self, key: int, old: NDArray[np.int64], sigmas: tuple[Array, Array], last: int = 0
+        self, key: int, old: Keys, sigmas: tuple[Array, Array], last: int = 0
     ) -> Hypothesis | None:
         """The best place of a keyframe among old ones, by the scans of the last metres or by the `last` ones alone.
 

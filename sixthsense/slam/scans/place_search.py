@@ -302,7 +302,7 @@ def _compared(
     off = between(poses[targets], at).reshape(-1, 3)
     found = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
     shift = between(off, found.poses).reshape(-1, 3)
-    is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (found.totals[:, 1] >= LEAST_RETURNS)
+    is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (found.partners >= LEAST_RETURNS)
     seen = found.seen.sum(axis=1)
     for k in np.flatnonzero(~is_near).tolist():
         pair, target = triple(off[k]), int(targets[k])

@@ -232,7 +232,7 @@ class Aligned(NamedTuple):
 @numba.njit(cache=True, error_model="numpy")
 def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Aligned:
     """The pose that a scan is aligned at among others from `start` (3,), with partners up to `gate_m` at first."""
-    pose, sums = start.copy(), Sums(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3))
+    pose, sums = start.copy(), Sums(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(1))
     align(views, prior, gate_m, False, pose, sums)
     values, axes = np.linalg.eigh(sums.hessian - sums.feigned)
     variance = SIGMA_M**2 * views.factor * max(1, len(views.targets))
@@ -246,12 +246,12 @@ def tracked_at(
     """A scan as aligned from a start with the prior `by`, and its log-odds by `prior`; arguments as in `track`."""
     pose, information = aligned(views, by, start, gate_m)
     off = np.array((pose[0] - prior.pose[0], pose[1] - prior.pose[1], wrapped(pose[2] - prior.pose[2])))
-    agreed = agreement_of(views, pose)
-    judged, share = agreed.hits + agreed.through, contradicted(agreed.hits, agreed.through)
     if is_guess:
         off, information = _remapped(information, prior, off)
         x, y, theta = triple(prior.pose)
         pose = np.array((x + off[0], y + off[1], wrapped(theta + off[2])))
+    agreed = agreement_of(views, pose)
+    judged, share = agreed.hits + agreed.through, contradicted(agreed.hits, agreed.through)
     pull = product(prior.information, off)
     square = off[0] * pull[0] + off[1] * pull[1] + off[2] * pull[2]
     right = 1.0 - max(usual.contradicted, _RARE)
