@@ -134,7 +134,7 @@ def applied(base: Config, given: Mapping[str, Any]) -> Config:
     for name in ("estimator", "front_end"):
         old, new = getattr(base, name), getattr(found, name)
         if name not in given and new != old:
-            _log.warning(f"note: {name} is {new} in place of {old}, which does not go with what is given")
+            _log.warning(f"note: {name} is {new} in place of {old}, which does not go with {', '.join(given)}")
     return with_checked_parts(found)
 
 

@@ -257,7 +257,7 @@ def shade(
 
 
 def frontiers(trace: Trace) -> Array:
-    """(N, 2) frontier cells around the robot: free ones next to an unseen one in the region, in clusters of any size.
+    """(N, 2) frontier cells around the robot: free ones next to an unseen one in the region, in pieces longer than it.
 
     World frame, metres. (0, 2) for a trace without a grid.
     """

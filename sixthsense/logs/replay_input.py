@@ -107,10 +107,7 @@ def check_out(log: str | Path, out: Path | None) -> None:
 
 
 def open_recorded(
-    log: str | Path,
-    config: Config,
-    relations: str | Path | Relations | None = None,
-    chosen: LogSelection | None = None,
+    log: str | Path, config: Config, relations: str | Path | Relations | None = None, chosen: LogSelection | None = None
 ) -> ReplayInput:
     """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
 

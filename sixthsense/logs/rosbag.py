@@ -31,7 +31,7 @@ _SPREAD = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _STAMPED = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG": ".bag", b"SQLite format 3\x00": ".db3"}
-_WHOLE = "a whole ROS 1 .bag, ROS 2 folder or file; `mcap recover` or `rosbag reindex` makes one of a file that is cut"
+_WHOLE = "a whole ROS 1 .bag, ROS 2 folder or file; `rosbag reindex` mends a cut .bag, `mcap recover` a cut .mcap"
 _BASE_BUDGET, _BUDGET_PER_BYTE = 1 << 28, 20
 """bytes that all chunks may have together; scans rarely compress to a tenth"""
 _MCAP_END = b"\x0f\x04" + bytes(11) + b"\x02\x14" + bytes(27) + b"\x89MCAP0\r\n"

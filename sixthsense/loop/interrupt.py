@@ -71,10 +71,11 @@ def _is_compiling() -> bool:
 def handled(*numbers: int) -> Iterator[Signals]:
     """Handle the signals of these numbers in the block, but for those that are ignored, as SIGHUP is under nohup.
 
-    In a block within, and in another thread than the main one, nothing changes.
+    In a block within nothing changes. In another thread than the main one, which alone receives signals, none come.
     """
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == _signals.handle:
-        yield _signals
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) == _signals.handle:
+        yield _signals if is_main else Signals()
         return
 
     def dropped(unraisable: Any) -> None:
@@ -106,17 +107,14 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Defer the first signal in the block; the yielded function returns whether there was one. A second Ctrl-C raises.
 
     So does one in a later block within two seconds: pressing twice ends a loop over many runs. Outside of commands the
-    only signal is Ctrl-C. Outside of the main thread, which alone receives signals, the block defers none.
+    only signal is Ctrl-C.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    with handled(signal.SIGINT):
-        before, _signals.is_deferred = _signals.is_deferred, True
+    with handled(signal.SIGINT) as signals:
+        before, signals.is_deferred = signals.is_deferred, True
         try:
-            yield lambda: _signals.number != 0
+            yield lambda: signals.number != 0
         finally:
-            _signals.is_deferred = before
+            signals.is_deferred = before
 
 
 def is_command_ended() -> bool:

@@ -136,10 +136,7 @@ def finish(trace: Trace, slam: Slam, pilot: Pilot, outcome: str) -> None:
 
 
 def run(
-    config: Config,
-    on_tick: OnTick | None = None,
-    scene: Scene | Mission | None = None,
-    prior: PriorStart | None = None,
+    config: Config, on_tick: OnTick | None = None, scene: Scene | Mission | None = None, prior: PriorStart | None = None
 ) -> Trace:
     """Simulate `config.scene` and drive its task.
 

@@ -1,6 +1,7 @@
 """From the map to a command: exploration, path planning, driving, and the guard that stops the robot.
 
-`make_navigator` makes what the pilot asks for commands; `guard.py` checks every command before it reaches the drive.
+`make_navigator` makes the navigator, which the pilot asks for commands; `guard.py` checks every command before it
+reaches the drive.
 """
 
 from __future__ import annotations

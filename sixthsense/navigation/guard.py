@@ -38,7 +38,7 @@ class GuardLimits(NamedTuple):
     radius_m: float
     """of the robot's disc, with the buffer"""
     radius_to_earlier_m: float
-    """the same towards returns of earlier scans, without: the least of many is off by more noise than one"""
+    """the same towards returns of earlier scans, without: of many noisy returns the nearest is too near"""
     radius_to_bodies_m: float
     """the same towards what moves"""
     latency_s: float
@@ -145,18 +145,16 @@ def checked(
     since: Triple,
     at: Triple,
     obstacles: Obstacles,
-    waits_for_moving: bool,
     limits: GuardLimits,
 ) -> tuple[float, float, bool, bool]:
     """Speed and turn rate of a command, slowed or stopped as `Guard.check` says, and whether it was stopped.
 
     `since` is the motion since the latest scan, and `at` the robot's pose in the frame of the guard's odometry. The
-    last result says whether what moves is nearest in the way of the latest command that drives; `waits_for_moving` is
-    the same of the one before.
+    last result says whether what moves is nearest in the way.
     """
     v, w = command
     if not limits.is_on:
-        return v, w, False, waits_for_moving
+        return v, w, False, False
     x, y, theta = since
     speed = abs(v)
     reach = stopping_distance(speed, limits.latency_s, limits.deceleration)
@@ -239,14 +237,9 @@ class Guard:
             self._stopped = False
             return command
         before = self._stopped
-        speed, turn_rate, self._stopped, self.waits_for_moving = checked(
-            (float(command.speed), float(command.turn_rate)),
-            self._since,
-            self._at,
-            self.obstacles(),
-            self.waits_for_moving,
-            self.limits,
-        )
+        asked = float(command.speed), float(command.turn_rate)
+        found = checked(asked, self._since, self._at, self.obstacles(), self.limits)
+        speed, turn_rate, self._stopped, self.waits_for_moving = found
         self.stops += self._stopped and not before
         return Command(speed, turn_rate)
 

@@ -1,7 +1,7 @@
-"""What the pilot asks for commands: a navigator, which lets a task choose goals, plans paths to them, and drives.
+"""The navigator: it lets a task choose goals, plans paths to them, and drives.
 
-A task is a state machine without side effects on others: it is given the map, the pose and what has happened, and
-returns the goal. Nobody calls back.
+A task is a state machine: it is given the map, the pose and what has happened, and returns the goal. An exploration
+also sets which clearance is the least. Nobody calls back.
 """
 
 from __future__ import annotations

@@ -64,8 +64,8 @@ class DrivingMap:
         return self._space[1]
 
     def is_clear(self, path: Array) -> bool:
-        """Whether a path (N, 2) is not blocked by now, and passes narrow gaps within half a cell of their middle."""
-        return self._avoids(path, self.clearance.metres < self.least_m, 0.5)
+        """Whether the robot's path (N, 2) is not blocked by now, and passes gaps within half a cell of their middle."""
+        return self._avoids(path, self.clearance.blocked(self.least_m, self.wish_m, path[0]), 0.5)
 
     def keeps_wish(self, path: Array) -> bool:
         """Whether a path (N, 2) keeps the clearance that is wished for."""
@@ -92,7 +92,7 @@ class PathPlanner:
     def __init__(self, planner: Planner, config: Config) -> None:
         """Plan by `planner`, and by A* where that gives up."""
         self.plans: list[Array] = []
-        """every planned path, (N, 2) each, world frame"""
+        """every planned path, (N, 2) each, world frame, as it is driven"""
         self.plans_below_margin = 0
         """how many of them have less clearance somewhere than is wished for"""
         self.plans_by_astar: int | None = None if type(planner) is AStar else 0
@@ -116,9 +116,10 @@ class PathPlanner:
         self._has_path = plan.found
         if not plan.found:
             return None
-        self.plans.append(plan.path_world)
-        self.plans_below_margin += not map_.keeps_wish(plan.path_world)
-        return shortcut(space, plan.path_world)
+        path = shortcut(space, plan.path_world)
+        self.plans.append(path)
+        self.plans_below_margin += not map_.keeps_wish(path)
+        return path
 
     def _planned(self, space: FreeSpace, start: Array, goal: Array) -> Plan:
         plan = self._planner.plan(space, start, goal)

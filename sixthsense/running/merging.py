@@ -45,8 +45,11 @@ class Merged(ReplayInput):
 def open_merged(first: Path, second: Path, config: Config) -> Merged:
     """The folders of two runs as one log, by the configuration of the first. Raises what `merged_log` raises.
 
-    Scans are aligned, whatever front end and estimator it names. Raises InputError for a run whose own map is broken.
+    Scans are aligned, whatever front end and estimator it names. Raises InputError for a run with itself, and for one
+    whose own map is broken.
     """
+    if first.resolve() == second.resolve():
+        raise InputError(second, "found the first run again, whose scans would count twice", "another run")
     _log.info(f"looking for {second} in the map of {first}")
     for run in (first, second):
         verdict = load_record(run).trace.verdict

@@ -72,7 +72,7 @@ def placement(config: Config, scene: Scene) -> tuple[Pose, float]:
     start = scene.start if config.start is None else Pose(*in_radians(config.start))
     if start is None:
         raise InputError("start", f"missing, the scene {scene.name} has none of its own", "x y theta")
-    check_places(scene, {"start": (start.x, start.y)}, radius_m)
+    check_places(scene, {"start": (start.x, start.y)}, radius_m, scene.region)
     return start, radius_m
 
 

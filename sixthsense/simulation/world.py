@@ -9,6 +9,7 @@ import numba
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.errors import InputError
 from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
@@ -88,8 +89,11 @@ class World:
     def step(self, command: Command) -> Tick | None:
         """Drive for one control tick with `command`, clipped to the robot's limits; None after a collision.
 
-        The first step does not move the robot: it returns the scan at the start.
+        The first step does not move the robot: it returns the scan at the start. Raises InputError for a command that
+        is not finite.
         """
+        if not math.isfinite(command.speed + command.turn_rate):
+            raise InputError("command", f"found {command}", "a finite speed and turn rate")
         if self._collided:
             return None
         people, dt = self._walkers, seconds(float(self._period_ns))

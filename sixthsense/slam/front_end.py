@@ -130,7 +130,7 @@ class FrontEnd(Protocol):
        one `update`, perhaps with no observation. Its `index` counts from 0: the row of the estimator's `trajectory`.
     3. Between keyframes the estimator is not predicted. Links that it is given are of keyframes.
     4. `pose` is that of the last keyframe's estimate and `since`, the motion since then, whose covariance (3, 3), axes
-       of the keyframe, is symmetric and positive semi-definite.
+       of the pose, is symmetric and positive semi-definite.
     5. A return is evidence once: in an observation or in links. Their covariances are as large as their errors are.
     6. `finish` predicts the estimator up to the last tick, and returns its estimate there.
     7. The same ticks give the same bits, and arrays of the evidence stay as they are.
@@ -142,7 +142,7 @@ class FrontEnd(Protocol):
 
     @property
     def since(self) -> Odometry:
-        """Motion since the last keyframe, and (3, 3) of its error, axes of the keyframe."""
+        """Motion since the last keyframe, and (3, 3) of its error, axes of `pose`."""
 
     def take(self, evidence: Evidence) -> Keyframe | None:
         """Process what a tick has brought; its keyframe, if it is one."""

@@ -30,7 +30,7 @@ def judge(found: Witnesses) -> Verdict:
     level: Level = "good"
     if probability >= DOUBTFUL_FROM:
         level = "broken" if probability >= BROKEN_FROM else "doubtful"
-    reason = _unjudged(evidence, found) if level == "good" else ""
+    reason = _unjudged(evidence, found) if level == "good" or evidence.returns.max(initial=0.0) < FEWEST else ""
     if reason:
         return Verdict("unjudged", None, keyframes, (), _numbers(evidence), reason)
     causes = (remarks_of if level == "good" else causes_of)(evidence, found) if len(keyframes) else ()

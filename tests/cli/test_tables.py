@@ -138,7 +138,7 @@ def test_flags_beat_the_file_which_beats_the_preset_which_beats_the_defaults(set
 
 def test_what_follows_from_an_option_is_said_in_a_line(settings: Callable[..., Config], capsys: Any) -> None:
     assert settings("run --front-end scan-matching").estimator == "isam2"
-    said = "note: estimator is isam2 in place of ekf-invariant, which does not go with what is given\n"
+    said = "note: estimator is isam2 in place of ekf-invariant, which does not go with front_end\n"
     assert said in capsys.readouterr().err
     settings("run --front-end scan-matching --estimator isam2")
     assert "note:" not in capsys.readouterr().err

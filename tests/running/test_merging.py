@@ -166,6 +166,11 @@ def test_runs_of_two_buildings_are_not_merged(runs, here, capsys):
     assert line.startswith("other: found no place of monday that alone fits what was seen, allowed: two runs")
 
 
+def test_a_run_is_not_merged_with_itself(runs, here, capsys):
+    line = complaint([runs / "monday", runs / "other" / ".." / "monday", "--out", "both"], capsys, here)
+    assert "found the first run again, whose scans would count twice" in line
+
+
 def test_a_broken_run_is_refused_with_its_cause(runs, here):
     shutil.copytree(runs / "tuesday", "broken")
     judged = ss.load("broken").trace

@@ -171,6 +171,7 @@ def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(
     ({"task": "explore", "goal": (3.5, 3.2)}, "goal: found with `task` explore"),
     ({"task": "goal", "tour": ((3.5, 3.2),)}, "tour: found with `task` goal"),
     ({"start": (1.7, 3.4, 0.3)}, "start: found (1.7, 3.4), 0.2 m from a wall, allowed: more than the robot's"),
+    ({"start": (9.7, 3.4, 0.3)}, "start: found (9.7, 3.4), outside the region, allowed: x 1.6 to 5.4, y 2.8 to 4.3"),
     ({"task": "goal", "robot": {"radius": 0.7}}, "goal: found (4.5, 3.9), 0.6 m from a wall"),
     ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
 ])  # fmt: skip

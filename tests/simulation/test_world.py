@@ -5,7 +5,7 @@ import pytest
 from scanned import box
 from scipy import stats
 
-from sixthsense.config import preset
+from sixthsense.config import InputError, preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Command
 from sixthsense.simulation.world import World
@@ -135,6 +135,8 @@ def test_the_first_step_moves_nothing_and_commands_are_clipped_to_the_limits_of_
     ):  # fmt: skip
         moved = START.inverse() @ driven(world(config), command)[-1].truth
         assert (moved.x, moved.theta) == (pytest.approx(speed * 0.02), pytest.approx(rate * 0.02))
+    with pytest.raises(InputError, match=r"command: found .*nan.*, allowed: a finite speed and turn rate"):
+        world(config).step(Command(0.1, math.nan))
 
 
 def test_a_fast_robot_does_not_pass_a_thin_wall_and_is_not_stopped_by_one_beside_its_way():

@@ -212,7 +212,9 @@ def test_a_run_of_a_few_keyframes_is_not_judged(count, has_wheels):
 
 
 @pytest.mark.parametrize(("beams", "step_m", "reason"), [(5, 0.3, "returns"), (61, 0.02, "hardly moved")])
-def test_a_robot_that_stands_or_sees_little_is_not_judged_and_one_that_drives_and_sees_is_good(beams, step_m, reason):
+def test_a_robot_that_stands_or_sees_little_is_not_judged_and_one_that_drives_and_sees_is_good(
+    beams, step_m, reason, monkeypatch
+):
     def verdict(beams, step_m):
         poses = np.array([[step_m * k, 0.1, 0.02] for k in range(12)])
         scans = [wall(6.0 - step_m * k, beams) for k in range(12)]
@@ -222,6 +224,8 @@ def test_a_robot_that_stands_or_sees_little_is_not_judged_and_one_that_drives_an
     found = verdict(beams, step_m)
     assert found.level == "unjudged" and reason in found.reason
     assert verdict(61, 0.3).level == "good"
+    monkeypatch.setattr("sixthsense.verdict.judge.DOUBTFUL_FROM", 0.0)
+    assert verdict(beams, step_m).level == ("unjudged" if beams == 5 else "doubtful")
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,10 @@ def no_sums(pairs: int) -> Sums:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def _nearest(points: NDArray[np.float32], bearings: Bearings, x: float, y: float, gate_m: float) -> int:
-    """The cell of the return, among `points` (beams, 3), that is nearest to (x, y); -1 for none within the gate."""
+    """The cell of the return, among `points` (beams, 3), that is nearest to (x, y); -1 for none.
+
+    It lies within the gate, or where beams are farther apart than that, within a few beam spacings.
+    """
     beams = bearings.beams
     centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
     # A return n cells away lies at least n - 1 cells from the point's direction, and so far from the point, at least.
@@ -229,7 +232,9 @@ def add_all(views: Views, pose: Array, gate_m: float, both: bool, sums: Sums) ->
 
 @numba.njit(cache=True, error_model="numpy")
 def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, sums: Sums) -> None:
-    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,); `sums` are those before the last step.
+    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,).
+
+    `sums` are computed at the pose before the last step.
 
     `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly moves any more.
     """

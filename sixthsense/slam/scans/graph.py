@@ -297,7 +297,7 @@ class ScanGraph(PlacedScans):
         # Rows by hand: a conversion would add up the variances of several edges between two keyframes.
         order, first = np.argsort(ends[:, 0]), np.searchsorted(np.sort(ends[:, 0]), np.arange(self.count + 1))
         graphs = (csr_array((cost[order], ends[order, 1], first), (self.count, self.count)) for cost in costs)
-        position, heading = (np.sqrt(dijkstra(graph, directed=False, indices=key)) for graph in graphs)
+        position, heading = (np.sqrt(dijkstra(graph, directed=False, indices=[key])[0]) for graph in graphs)
         return position, heading
 
 

@@ -35,7 +35,7 @@ class KnownPlaces:
     def __init__(self, scans: PlacedScans) -> None:
         self._scans = scans
         self._anchors: list[int] = []
-        """scans that places are around, of each of which the submap is complete"""
+        """scans that places are around, of each of which it is final what it looks like"""
         self._looks = np.zeros((0, BINS))
         """what the places around them look like"""
         self._submaps: dict[tuple[int, float, int], Pyramid] = {}

@@ -83,7 +83,7 @@ class LoopClosures:
         self._graph.moved(travel_m, position + _DRIFT_M**2 * travel_m, heading + _DRIFT_RAD**2 * travel_m)
 
     def near(self, key: int) -> Keys:
-        """Old keyframes that the newest one is to be linked to; every 0.6 m of travel all that are certain are asked."""
+        """Old keyframes to link the newest one to: around those of the last; every 0.6 m of travel all certain ones."""
         graph, self._uncertain = self._graph, None
         near, travelled_m = graph.near_linked(key), float(graph.travelled_m[key])
         if travelled_m - self._looked_m < _PERIOD_M:
@@ -93,7 +93,7 @@ class LoopClosures:
         return graph.nearest(key, np.union1d(near, certain))
 
     def look(self, key: int) -> None:
-        """Search for a loop closure every 0.6 m of travel, and thin the graph."""
+        """Search for a loop closure, every 0.6 m of travel, and thin the graph."""
         graph = self._graph
         if self._uncertain is not None and graph.travelled_m[key] >= self._search_from_m:
             self._search_among(key, *self._uncertain)
@@ -129,15 +129,13 @@ class LoopClosures:
             self.close(links.rows(np.sort(first)))  # each pair once
 
     def _old(self, key: int) -> tuple[Keys, tuple[Keys, tuple[Array, Array]]]:
-        """Old keyframes relative to which one is certain; those where it is uncertain, and its sigmas relative to all."""
+        """Old keyframes relative to which one is certain; those where it is not, and its sigmas relative to all."""
         old = self._graph.old(key)
         sigma_m, sigma_rad = self._graph.sigmas(key)
         is_certain = (sigma_m[old] < _CERTAIN_M) & (sigma_rad[old] < _CERTAIN_RAD)
         return old[is_certain], (old[~is_certain], (sigma_m, sigma_rad))
 
-    def _best_place(
-        self, key: int, old: Keys, sigmas: tuple[Array, Array], last: int = 0
-    ) -> Hypothesis | None:
+    def _best_place(self, key: int, old: Keys, sigmas: tuple[Array, Array], last: int = 0) -> Hypothesis | None:
         """The best place of a keyframe among old ones, by the scans of the last metres or by the `last` ones alone.
 
         One that is not where the robot is expected is sought among all that is known: where rooms are alike it is
