@@ -108,7 +108,8 @@ def followed(
         if abs(error) > limits.heading_slack_rad:
             return 0.0, _clip(error / limits.period_s, limits.turn_rate), k, is_driving
         is_driving = True
-    # A small turn rate corrects drift while driving. One tick never overshoots the way point.
+    # A small turn rate corrects drift while driving: that of the arc through the way point, as if it were 0.25 m away
+    # at least. One tick never overshoots the way point.
     turn_rate = _clip(2.0 * error * limits.speed / max(distance, 0.25), limits.turn_rate)
     return min(limits.speed, distance / limits.period_s), turn_rate, k, is_driving
 

@@ -214,7 +214,7 @@ class Guard:
         """Record a scan from the robot's present pose, and which of its returns (M, 2), robot's frame, move."""
         self._scan, self._since = scan, (0.0, 0.0, 0.0)
         if len(self._obstacles.moving):
-            self._before.clear()  # what moves was elsewhere
+            self._before.clear()  # what moves was elsewhere, and which of the earlier returns were its is not known
             self._waiting.clear()
         self._waiting.append((scan, self._at))
         self._obstacles = Obstacles(_NOTHING, np.ascontiguousarray(moving_robot), _NOTHING)

@@ -18,8 +18,8 @@ _AS_CHEAP = 1.001  # a straight line may cost so much more than the way points t
 def shortcut(space: FreeSpace, path_world: Array) -> Array:
     """(M, 2) the way points of (N, 2) `path_world` that remain when each leads to the furthest possible one.
 
-    Both ends remain. A segment that replaces others touches no blocked cell, costs no more than they do, and passes
-    narrow gaps through the middle. So a free path stays free and none gets dearer.
+    Both ends remain. A segment that replaces others touches no blocked cell, costs a thousandth more at most, and
+    passes narrow gaps through the middle. So a free path stays free.
     """
     path = np.asarray(path_world, dtype=np.float64)
     if path.ndim != 2 or path.shape[1] != 2:

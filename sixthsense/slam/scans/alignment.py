@@ -234,10 +234,10 @@ def add_all(views: Views, pose: Array, gate_m: float, both: bool, sums: Sums) ->
 def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, sums: Sums) -> None:
     """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,).
 
-    `sums` are computed at the pose before the last step.
-
-    `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly moves any more.
+    `sums` are computed at the pose before the last step. `gate_m` is the first gate: it narrows step by step, and at
+    once where the pose hardly moves any more.
     """
+    # Each return of the source is counted once for each target, and has one error.
     scale = 1.0 / (SIGMA_M * SIGMA_M * views.factor * max(1, len(views.targets)))
     gate = max(gate_m, SURFACE_M)
     for _ in range(_MOST_STEPS):

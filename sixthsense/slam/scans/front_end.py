@@ -111,6 +111,7 @@ class ScanFrontEnd:
         if not (self._is_carried or expectation is None or is_due(moved, self._since, self._config.keyframes)):
             self._since, self._last = found, self._last._replace(since=found.motion.triple())
             if self._config.scans.final_pass:
+                # A copy, without the arrays that the scan has computed and keeps.
                 self._scans.append(TrackedScan(dataclasses.replace(scan), self.newest, self._since, moved))
             return None
         motion = self._motion(tracked, moved)

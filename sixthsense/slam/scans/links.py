@@ -74,6 +74,7 @@ def covariances(hessians: Array, sigma_m: float) -> Array:
     `hessians` (m, 3, 3) are those of `Alignments`, in which both ways count the returns of a pair twice. `sigma_m` is
     of a return. A direction that a few returns observe is not observed.
     """
+    # Half for the two ways; the noise of both returns of a pair is in its distance.
     values, axes = np.linalg.eigh(0.5 * hessians)
     information = np.maximum(values - FEW_RETURNS, 0.0) / (2.0 * sigma_m**2)
     variances = 1.0 / np.maximum(information, _UNOBSERVED**-2)

@@ -143,7 +143,7 @@ class LoopClosures:
         """
         graph, travelled_m = self._graph, self._graph.travelled_m
         # Places are judged by all that is known there: without the certain keyframes the true one would have no say.
-        # Certain by travel alone are those that overlap the placed scans themselves: they agree with any place.
+        # Not by the scans of the last metres: they overlap those that are placed, and would agree with any place.
         passed = np.flatnonzero(graph.is_kept & (travelled_m[key] - travelled_m > BACK_M + REACH_M))
         known = np.union1d(old, passed)
         self._places.seek(old, known)

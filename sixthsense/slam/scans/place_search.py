@@ -278,7 +278,8 @@ def evidence_of(scans: PlacedScans, keys: NDArray[np.int64], candidates: Sequenc
     open_places, known = np.arange(len(at)), [each.known[each.known < keys[-1]] for each in candidates]
     for n, key in enumerate(keys.tolist()):
         moved = between(poses[before], poses[key])
-        most_m = WIDE_GATE_M if n == 0 else SURFACE_M  # an alignment may shift a scan beyond the one before
+        # The candidate's pose is coarse. From the second scan on it is aligned, and the motion between them is tracked.
+        most_m = WIDE_GATE_M if n == 0 else SURFACE_M
         for k in open_places.tolist():
             placed = compose(at[k], moved)
             shares[k, n], at[k], found = _compared(scans, key, placed, known[k], most_m)
