@@ -48,14 +48,13 @@ def unseen_places(map_: ViewMap, grid: Grid, radius_m: float, reach: float) -> l
     pieces = map_.pieces(map_.known.unseen)
     if not pieces:
         return []
-    anywhere, gaps = map_.best_cells(map_.free), _Gaps(map_, grid)
-    hidden = map_.known.unseen.copy()
+    gaps, hidden = _Gaps(map_, grid), map_.known.unseen.copy()
     found: dict[tuple[Reason, float | None], np.ndarray] = {}
     for piece in pieces:
         kind: tuple[Reason, float | None] = "gave up", None
         viewpoint = map_.view_of(piece, map_.places, reach)
         if viewpoint is None:
-            viewpoint = map_.view_of(piece, anywhere, reach)
+            viewpoint = map_.view_of(piece, gaps.anywhere, reach)
             if viewpoint is None:
                 continue
             gap_m = gaps.width_m(viewpoint)
@@ -82,15 +81,16 @@ class _Gaps:
 
     def __init__(self, map_: ViewMap, grid: Grid) -> None:
         self._map, self._grid = map_, grid
-        self._best, self._fits = map_.best_cells(map_.free), map_.best_cells(map_.passable) >= 0
-        self._metres = np.where(self._best >= 0, map_.metres.ravel()[self._best], 0.0)
+        self.anywhere, self._fits = map_.best_cells(map_.free), map_.best_cells(map_.passable) >= 0
+        """the best cell of each tile among all free ones, -1 for none; and whether the robot fits into one"""
+        self._metres = np.where(self.anywhere >= 0, map_.metres.ravel()[self.anywhere], 0.0)
         cost = np.maximum(self._metres / map_.cell_m, 0.5) ** -_WIDEST
         links, none = Links.of(map_.free, map_.side), np.zeros((0, 2), dtype=np.int64)
         _, self._before = ways_from(links, cost.astype(np.float32), map_.tile(map_.here), none)
 
     def width_m(self, cell: Cell) -> float | None:
         """The width of the gap to a cell, metres; None without a way, or where one of its sides was not seen."""
-        cols, (row, col) = self._best.shape[1], self._map.tile(cell)
+        cols, (row, col) = self.anywhere.shape[1], self._map.tile(cell)
         way = [row * cols + col]
         while self._before[way[-1]] >= 0:
             way.append(int(self._before[way[-1]]))
@@ -100,7 +100,7 @@ class _Gaps:
         beyond = way[: is_reached[0] + 1][::-1]
         ends = np.flatnonzero(self._fits.ravel()[beyond[1:]])
         tiles = beyond[: ends[0] + 2] if len(ends) else beyond
-        places = np.stack(np.divmod(self._best.ravel()[tiles], self._map.seen.shape[1]), axis=1)
+        places = np.stack(np.divmod(self.anywhere.ravel()[tiles], self._map.seen.shape[1]), axis=1)
         between = np.linspace(0.0, 1.0, self._map.side + 1)[:, None, None]
         cells = np.rint(places[:-1] + between * np.diff(places, axis=0)).astype(np.int64).reshape(-1, 2)
         for middle in cells[np.argsort(self._map.metres[tuple(cells.T)], kind="stable")]:
