@@ -178,7 +178,10 @@ def allowed(field: FieldInfo | None) -> str:
     kind, notes = kind_of(field)
     if typing.get_origin(kind) is tuple and not choices_of(field):
         args = typing.get_args(kind)
-        return "a list" if args[-1] is Ellipsis else f"{len(args)} numbers"
+        if args[-1] is not Ellipsis:
+            return f"{len(args)} numbers"
+        each = allowed(FieldInfo.from_annotation(args[0]))
+        return f"a list, each {each}" if each else "a list"
     return interval(notes) or ", ".join(choices_of(field))
 
 
