@@ -90,13 +90,17 @@ class Clearance:
     ) -> FreeSpace:
         """Where the robot may drive, and what a metre there costs.
 
-        A metre costs 1, and (wish / clearance)^2 where its clearance is less than `wish_m`, like in Nav2's inflation
-        layer. Cells are blocked that `blocked` names, and those that are farther than `unseen_m` from all seen ones.
+        Cells nearer than `least_m` to an obstacle are blocked. A metre costs 1, and (wish / clearance)^2 where its
+        clearance is less than `wish_m`, like in Nav2's inflation layer. A `robot` (2,) that stands where it is blocked
+        may go where the clearance is no less than it has, within `wish_m`. Cells that are farther than `unseen_m` from
+        all seen ones are blocked.
         """
         cost = np.maximum(self.metres, np.float32(0.5 * self.cell_m))
         np.divide(np.float32(wish_m), cost, out=cost)
         np.square(np.maximum(cost, np.float32(1.0), out=cost), out=cost)
-        blocked = self.blocked(least_m, wish_m, robot)
+        blocked: Bools = self.metres < least_m
+        if robot is not None and blocked[self.cell(robot)]:
+            blocked = blocked & ~self._way_out(self.cell(robot), wish_m)
         if unseen_m < math.inf:
             reach, (height, width) = max(1, round(unseen_m / self.cell_m)), blocked.shape
             seen, shifts = np.pad(self.seen, reach), range(2 * reach + 1)  # much faster than by `scipy.ndimage`
@@ -105,16 +109,6 @@ class Clearance:
         np.copyto(cost, np.inf, where=blocked)
         cost.flags.writeable = False  # so that it is not copied
         return FreeSpace(blocked, self.seen, self.origin, self.cell_m, cost, self.offsets)
-
-    def blocked(self, least_m: float, wish_m: float, robot: ArrayLike | None = None) -> Bools:
-        """(H, W) the cells nearer than `least_m` to an obstacle.
-
-        A `robot` (2,) that stands in one may go where the clearance is no less than it has, within `wish_m`.
-        """
-        blocked: Bools = self.metres < least_m
-        if robot is not None and blocked[self.cell(robot)]:
-            blocked &= ~self._way_out(self.cell(robot), wish_m)
-        return blocked
 
     def _way_out(self, cell: tuple[int, int], reach_m: float) -> Bools:
         """(H, W) the cells near one that have no less clearance than it, and itself."""

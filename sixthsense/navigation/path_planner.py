@@ -64,8 +64,9 @@ class DrivingMap:
         return self._space[1]
 
     def is_clear(self, path: Array) -> bool:
-        """Whether the robot's path (N, 2) is not blocked by now, and passes gaps within half a cell of their middle."""
-        return self._avoids(path, self.clearance.blocked(self.least_m, self.wish_m, path[0]), 0.5)
+        """Whether a path (N, 2) is not blocked by now, and passes narrow gaps within half a cell of their middle."""
+        # Out of a blocked cell the robot plans anew with each scan.
+        return self._avoids(path, self.clearance.metres < self.least_m, 0.5)
 
     def keeps_wish(self, path: Array) -> bool:
         """Whether a path (N, 2) keeps the clearance that is wished for."""
