@@ -27,8 +27,8 @@ def reference(cost, right, up, source):
             tails.append(index[a][linked])
             heads.append(index[b][linked])
             costs.append(0.5 * math.hypot(dr, dc) * (cost[a] + cost[b])[linked])
-    edges = np.concatenate(costs), (np.concatenate(tails), np.concatenate(heads))
-    graph = coo_array(edges, shape=(height * width,) * 2).tocsr()
+    ends = np.concatenate(tails).astype(np.int32), np.concatenate(heads).astype(np.int32)
+    graph = coo_array((np.concatenate(costs), ends), shape=(height * width,) * 2).tocsr()
     return dijkstra(graph, directed=False, indices=index[source]).reshape(height, width)
 
 

@@ -294,8 +294,10 @@ class ScanGraph(PlacedScans):
         variances = np.vstack([self._keyframes["step"][1 : self.count], np.column_stack([largest, covs[:, 2, 2]])])
         lever = self.poses[ends[:, 1], :2] - self.poses[key, :2]
         costs = variances[:, 0] + variances[:, 1] * (lever**2).sum(axis=1), variances[:, 1]
-        # Rows by hand: a conversion would add up the variances of several edges between two keyframes.
-        order, first = np.argsort(ends[:, 0]), np.searchsorted(np.sort(ends[:, 0]), np.arange(self.count + 1))
+        # Rows by hand: a conversion would add up the variances of several edges between two keyframes. Indices have 32
+        # bits, which SciPy's search asks for.
+        order, ends = np.argsort(ends[:, 0]), ends.astype(np.int32)
+        first = np.searchsorted(ends[order, 0], np.arange(self.count + 1)).astype(np.int32)
         graphs = (csr_array((cost[order], ends[order, 1], first), (self.count, self.count)) for cost in costs)
         position, heading = (np.sqrt(dijkstra(graph, directed=False, indices=[key])[0]) for graph in graphs)
         return position, heading
