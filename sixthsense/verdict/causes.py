@@ -136,7 +136,7 @@ def _slips(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
 
 def _blind(evidence: Evidence, found: Witnesses) -> Iterator[Cause]:
     """Ways without a return, and gaps in the record."""
-    if not found.scans or evidence.returns.max(initial=0.0) < FEWEST:
+    if not found.scans:
         return
     is_blind = evidence.returns < FEWEST
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_blind, [False]]).astype(int)))
