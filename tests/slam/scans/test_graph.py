@@ -8,6 +8,7 @@ from rooms import HALF, ROOM, scan_at, stored
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.se2 import between, compose
+from sixthsense.slam.estimators.thinning import OLD_AGE
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import AGREEMENT, NEAR_GATE_M, SEEN_SHARE, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.tracking import Usual
@@ -104,12 +105,21 @@ def chain(count):
     return graph
 
 
+def test_keyframes_are_old_if_they_are_of_an_earlier_pass_or_from_before_the_robot_was_carried():
+    graph = chain(50)
+    assert graph.old(49).tolist() == list(range(49 - OLD_AGE))
+    graph.first = 40
+    assert graph.old(49).tolist() == list(range(40))
+    graph.take_out([7])
+    assert graph.old(49).tolist() == [k for k in range(40) if k != 7]
+
+
 def alignments(ends, hessian, errors=None):
     """Aligned pairs of a `chain`, `errors` (m, 3) off their true poses."""
     m = len(ends)
     targets, sources = np.array(ends, dtype=np.int64).T
     poses = np.column_stack([0.3 * (sources - targets), np.zeros((m, 2))]) + (0.0 if errors is None else errors)
-    return Alignments(targets, sources, poses, np.tile(hessian, (m, 1, 1)), np.full((m, 3), 90.0), np.zeros((m, 2, 4)))
+    return Alignments(targets, sources, poses, np.tile(hessian, (m, 1, 1)), np.full(m, 90.0), np.zeros((m, 2, 4)))
 
 
 @pytest.mark.parametrize("batches", [(8,), (4, 4), (1, 7), (3, 3, 2), (8, 40)])

@@ -9,6 +9,7 @@ from rooms import scan_at, stored
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import between, compose
+from sixthsense.slam.scans.agreement import agreement_of
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.tracking import SLIP_SIGMAS, LastScan, Usual, aligned, expected, track, tracked_at
 
@@ -81,6 +82,14 @@ def test_fewer_returns_on_lines_than_usual_are_evidence_against_a_pose():
     assert fewer.lines == alike.lines and fewer.log_odds < alike.log_odds - 2.0
     shares = np.linspace(0.05, 0.95, 19)
     assert shares[np.argmax([usually(share).log_odds for share in shares])] == pytest.approx(found, abs=0.1)
+
+
+@pytest.mark.parametrize("is_guess", [False, True])
+def test_the_agreement_of_a_tracked_scan_is_that_at_its_pose(is_guess):
+    views, prior = views_and_prior(scan_at(TRUE), TRUE @ Pose(0.04, -0.03, 0.02))
+    found = tracked_at(views, prior, prior, TRUE.array(), 0.25, USUAL, is_guess)
+    agreed = agreement_of(views, found.pose)
+    assert found.lines == pytest.approx(agreed.lines / (agreed.hits + agreed.through), rel=1e-12)
 
 
 def test_the_newest_scan_has_a_fiftieth_of_what_is_usual():
